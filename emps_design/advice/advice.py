@@ -17,6 +17,7 @@ GRAVE = re.compile(  # words of a warning beside which no design is safe
 HARMLESS = re.compile(  # warnings about a record that speak against nothing that was found in it
     r"f_ext acts on the simulated carriage|by output error, for the measured motion is noise|lines left out"
     r"|no Kalman observer|simulated in open loop from the recorded|fitted anew on the confirming record"
+    r"|Nothing above .* can be told"
 )
 WORST_FIRST = (  # words of warnings about a record, by what they do to what was found in it; others come last
     r"may be wrong by more than it says",

@@ -15,6 +15,8 @@ from emps_design.report.page import Callout, Picture, Points, Section, Table, Te
 if TYPE_CHECKING:
     from emps_design.discrepancy.result import Diagnosis
 
+IN_LOOP = "after a refit in closed loop"
+
 
 def _label(finding: Mapping[str, Any]) -> str:
     return finding.get("label") or words(finding["effect"])
@@ -202,30 +204,36 @@ def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, A
         ]
         for c in candidates
     ]
+    document = diagnosis.to_dict()
+    refitted = "refitted in closed loop on the fitting part; the statistic must exceed what is to beat: the largest "
+    refitted += "that healthy records give, or the share of the cost that a finding must be worth"
+    if "band_hz" in document:
+        refitted = (
+            "on strokes that took no part in the fit; the statistic is how many times larger the error is without"
+        )
     return Section(
         "Candidates",
         Picture(
-            figures.candidates_figure(candidates, diagnosis.to_dict()["gap"]),
-            _candidates_caption(candidates),
+            figures.candidates_figure(candidates, document["gap"]),
+            _candidates_caption(candidates, "predicting what was held out" if "band_hz" in document else IN_LOOP),
             "What was tried",
         ),
         Table(
             ["candidate", "decision", "gap left [N]", "statistic", "to beat", "why"],
             rows,
-            "The best candidates, refitted in closed loop on the fitting part; the statistic must exceed what "
-            "is to beat: the largest that healthy records give, or the share of the cost that a finding must be worth.",
+            f"The best candidates, {refitted}.",
         ),
     )
 
 
-def _candidates_caption(candidates: Sequence[Mapping[str, Any]]) -> str:
+def _candidates_caption(candidates: Sequence[Mapping[str, Any]], how: str) -> str:
     if all(candidate.get("gap") is None for candidate in candidates):
         return (
             "No candidate explained enough to be fitted. The bars are the statistics of their first guesses; the "
             "dashed line is what they had to beat."
         )
     return (
-        "Force error left by each candidate after a refit in closed loop; shorter is better. The dashed line is the "
+        f"Force error left by each candidate {how}; shorter is better. The dashed line is the "
         "model as it was, the dotted line the noise floor. A candidate near the dashed line explains nothing."
     )
 
@@ -267,7 +275,10 @@ def gap_section(document: Mapping[str, Any]) -> Section:
         value = NOTHING if values.get(name) is None else f"{values[name]:.3g}"
         return value if low is None else f"{value} ({low:.3g} to {high:.3g})"
 
-    for key, word in (("gap", f"{simulated}, unfiltered"), ("gap_inverse_60hz", "inverse model, 60 Hz")):
+    compared = [("gap", f"{simulated}, unfiltered"), ("gap_inverse_60hz", "inverse model, 60 Hz")]
+    if "band_hz" in document:  # one and the same
+        compared = [("gap", f"{simulated}, below {document['band_hz']:.2g} Hz")]
+    for key, word in compared:
         gap = document.get(key)
         for part, name in (("train", "training"), ("holdout", "held out")):
             if gap and gap.get(part):

@@ -14,8 +14,9 @@ from emps_design.discrepancy.along_motion.balance import Balance, Fitted
 from emps_design.discrepancy.along_motion.names import Named, Tried
 from emps_design.discrepancy.checks.kept_closed import Confirming
 from emps_design.discrepancy.experiment.discrimination import Experiment, varies
+from emps_design.discrepancy.explain.explanation import marked
 from emps_design.discrepancy.explain.extent import EVERYWHERE, described, extent
-from emps_design.discrepancy.explain.remarks import ASSUMPTIONS
+from emps_design.discrepancy.explain.remarks import GAIN_KNOWN, ONE_FORCE
 from emps_design.discrepancy.explain.residual_views import force_map, spectrum_over_time, views
 from emps_design.discrepancy.explain.unexplained import SAID, depends_on
 from emps_design.discrepancy.model.bootstrap import rms_interval
@@ -100,10 +101,10 @@ def answer(found: Found, axis: Axis) -> Diagnosis:
     findings = tuple(_finding(found, one) for one in found.named)
     limit = balance.axis.drive.command_limit
     drawn = views(before, after, used, noise, limit, balance.cutoff)
-    drawn.sort(key=lambda view: view.quantity != (found.named[0].effect.over if found.named else ""))
     too_fast = f"Nothing above {balance.filtered.band_hz:.2g} Hz can be told"
     details: dict[str, Any] = {
         "simulation": "inverse model",
+        "band_hz": balance.filtered.band_hz,
         "candidates": [_candidate(one) for one in found.tried],
         "parameters": _parameters(found),
         "not_excluded": [],
@@ -114,7 +115,7 @@ def answer(found: Found, axis: Axis) -> Diagnosis:
             f"stroke after the other and not by chance, beside all other findings, and by more than {100 * LITTLE:g} % "
             "of the force."
         ),
-        "assumptions": [*ASSUMPTIONS, BALANCED.format(looked_for=_looked_for(found))],
+        "assumptions": [GAIN_KNOWN, ONE_FORCE, BALANCED.format(looked_for=_looked_for(found))],
         "warnings": [*_warnings(found), too_fast],
         "rest": (too_fast,),
         "spectrum_over_time": spectrum_over_time(before),
@@ -144,7 +145,7 @@ def answer(found: Found, axis: Axis) -> Diagnosis:
         train=gap,
         holdout=None if found.held_out is None else _gap(*found.held_out),
         trace=_trace(found),
-        views=tuple(drawn),
+        views=marked(drawn, findings),
         details=details,
         experiment=experiment,
     )

@@ -114,8 +114,9 @@ def _parts(
 
 
 def _of_records(records: tuple[Record, ...]) -> list[str]:
-    """What reading ``records`` noticed, but for what speaks against them, which their check says."""
-    return [text for record in records for text in record.warnings if text not in record.contradictions]
+    """What reading ``records`` noticed, but for what their check says, and of references, which are not needed."""
+    said = [text for record in records for text in record.warnings if text not in record.contradictions]
+    return [text for text in said if not text.startswith("q_ref: ")]
 
 
 def _only(record: Record, inside: np.ndarray) -> Record:

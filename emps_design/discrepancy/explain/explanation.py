@@ -61,7 +61,7 @@ def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest
         train=validation.train.gap,
         holdout=None if validation.held_out is None else validation.held_out.gap,
         trace=replace(judged.prediction, window=None if held_out is None else held_out.window),
-        views=_marked(drawn, found),
+        views=marked(drawn, found),
         details=details,
         experiment=_experiment(validation, details.get("unexplained")),
         response=measured_response(outcome.calibration.preparation.records, extended),
@@ -78,20 +78,20 @@ def _experiment(validation: Validation, left: dict[str, Any] | None) -> Experime
     return experiment(outcome, extended.model.names, validation.equivalents)
 
 
-def _marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
-    """The residual over each quantity, the extents of the findings marked; first is what tells where the first acts.
+def marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
+    """The ``drawn`` residuals with the extents of the findings; first is what tells where the first of them acts.
 
     Where it acts everywhere, the one that shows most comes first.
     """
-    marked = []
+    pictures = []
     for view in drawn:
         marks: list[Any] = []
         for finding in found:
             place = finding.where.get(view.quantity)
             if place is not None and view.quantity not in SPECTRAL:
                 marks += map(tuple, place if view.quantity == "time" else [place])
-        marked.append(replace(view, marks=tuple(marks)))
-    head, tail = marked[:-1], marked[-1:]
+        pictures.append(replace(view, marks=tuple(marks)))
+    head, tail = pictures[:-1], pictures[-1:]
     told = _OVER.get(found[0].where["place"]) if found else None
     head.sort(key=lambda view: (not (view.quantity == told and shown(view) > 0.0), -shown(view)))
     return (*head, *tail)

@@ -11,11 +11,13 @@ from emps_design.discrepancy.validation.verdict import Validation
 from emps_design.effects import get_effect, kind_of
 from emps_design.quantities import inside, rounded, share_asked
 
-ASSUMPTIONS = (
-    "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else",
-    "the drive holds each voltage over the period that follows its sample",
-    "a Coulomb asymmetry and a constant force are one and the same in any record, and both are the constant force here",
+GAIN_KNOWN = (
+    "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else"
 )
+ONE_FORCE = (
+    "a Coulomb asymmetry and a constant force are one and the same in any record, and both are the constant force here"
+)
+ASSUMPTIONS = (GAIN_KNOWN, "the drive holds each voltage over the period that follows its sample", ONE_FORCE)
 FOLLOWED = (
     "the controller is not known: the models follow the recorded motion and voltage, and what the controller itself "
     "adds to the voltage cannot be checked"

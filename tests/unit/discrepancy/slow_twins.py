@@ -65,14 +65,15 @@ def unknown(axis: Axis, period: float, wrong: float = 1.1) -> Axis:
 
 
 def robot(
-    axis: Axis, period: float = 0.01, seed: int = 0, irregular: bool = False, noise: float = 0.02
+    axis: Axis, period: float = 0.01, seed: int = 0, irregular: bool = False, noise: float = 0.02, count: int = 11
 ) -> tuple[Record, Axis]:
-    """Some forty seconds of ``axis``, to and fro at several speeds, and the file of who knows little of it.
+    """The log of ``axis`` on ``count`` strokes to and fro at several speeds, and the file of who knows little of it.
 
     ``noise`` of the logged command, as a share of it.
     """
     random = np.random.default_rng(seed)
-    places = np.array([0.0, *(random.choice([-1.0, 1.0]) * (-1.0) ** np.arange(18) * random.uniform(0.4, 1.3, 18))])
+    sides = random.choice([-1.0, 1.0]) * (-1.0) ** np.arange(count)
+    places = np.array([0.0, *(sides * random.uniform(0.4, 1.3, count))])
     run = Plant.of(axis).closed_loop(strokes(places, (0.3, 1.0, 0.15, 0.6, 2.0), 3.0))
     record = logged(run, period, noise * float(np.std(run.u)), random, irregular)
     return record, unknown(axis, record.period)
@@ -100,7 +101,7 @@ def drawn(seed: int, kind: str) -> tuple[Record, Axis, Axis]:
         effects = [{"kind": kind, "amount": (viscous + coulomb) * 0.1**power, "exponent": power}]
         viscous, coulomb = 0.0, 0.3 * coulomb
     axis = joint(effects, mass, viscous, float(coulomb), float(offset))
-    record, known = robot(axis, float(period), seed, bool(irregular), random.uniform(0.005, 0.03))
+    record, known = robot(axis, float(period), seed, bool(irregular), random.uniform(0.005, 0.03), 18)
     wrong = {"coulomb": float(coulomb) / 1.5} if kind == "coulomb" else {}
     known = known.replace(mechanics=dict(axis.mechanics.model_dump()) | wrong)
     return record, known, axis

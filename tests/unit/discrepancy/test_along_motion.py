@@ -2,20 +2,23 @@
 
 import collections
 import json
+import re
+import runpy
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from emps_design.cli.app import run
-from emps_design.cli.output import json_text
 from emps_design.discrepancy import diagnose
 from emps_design.effects import get_effect
 from emps_design.errors import RecordError, SimulationError
 from emps_design.identification.command_clock import logged_beside, moved
 from tests.unit.discrepancy.slow_twins import KINDS, WEIGHT, drawn, endless, joint, moved_by_hand, robot
 
+HOW_TO = Path(__file__).resolve().parents[3] / "docs" / "howto" / "slow_log.py"
 PERIODS = pytest.mark.parametrize(("period", "irregular"), [(0.01, False), (0.02, True), (0.05, False)])
 
 
@@ -173,30 +176,25 @@ def test_records_that_cannot_be_judged_are_refused(weighed):
     assert diagnose(nearly, axis).verdict == "named"
 
 
-def test_the_command_writes_all_that_it_finds(weighed, tmp_path, capsys):
-    record, axis = weighed
-    record.save(tmp_path / "log.npz")
-    (tmp_path / "axis.toml").write_text(axis.to_toml())
-    words = [
-        "diagnose",
-        str(tmp_path / "log.npz"),
-        "--axis",
-        str(tmp_path / "axis.toml"),
-        "--out",
-        str(tmp_path / "to"),
-    ]
-    assert run([*words, "--json"]) == 0
+def test_the_how_to_finds_the_weight_of_its_robot(tmp_path, monkeypatch, capsys):
+    """Its commands run on the log that its program writes, with everything that a diagnosis writes."""
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(HOW_TO), run_name="__main__")
+    assert capsys.readouterr().out.startswith("timestamp,actual_q,actual_current")
+    page = HOW_TO.with_suffix(".md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"\{run\} emps-design (diagnose .*)", page)
+    assert run([*command.split(), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document == json.loads((tmp_path / "to" / "diagnosis.json").read_text())
+    assert document == json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     assert document["verdict"] == "named"
-    assert document["simulation"] == "inverse model"
+    (finding,) = document["findings"]
+    assert finding["effect"] == "gravity"
+    assert finding["parameters"]["torque"]["value"] == pytest.approx(31.0, rel=0.01)
     assert document["gap"]["holdout"]["baseline"] > 10.0 * document["gap"]["holdout"]["extended"]
-    written = {path.name for path in (tmp_path / "to").iterdir()}
+    written = {path.name for path in (tmp_path / "found").iterdir()}
     assert written == {"diagnosis.json", "model.toml", "report.html", "holdout_prediction.csv"}
-    table = np.genfromtxt(tmp_path / "to" / "holdout_prediction.csv", delimiter=",", names=True)
-    assert table.dtype.names == ("t", "force_measured", "force_baseline", "force_extended")
-    assert len(table) == len(record)
-    assert json_text(document)
+    predicted = np.genfromtxt(tmp_path / "found" / "holdout_prediction.csv", delimiter=",", names=True)
+    assert predicted.dtype.names == ("t", "force_measured", "force_baseline", "force_extended")
 
 
 TWINS = {kind: (91_000 + 1000 * number, 40 if number < 2 else 10) for number, kind in enumerate(KINDS)}
