@@ -44,7 +44,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hostile")
     axis = machine("emps2019").replace(name=MARKUP)
     (folder / f"{FILE}.toml").write_text(axis.to_toml())
-    record = synthetic_record(axis, laps=1)
+    record = synthetic_record(axis, laps=1, stroke=0.1)
     record.save(folder / f"{FILE}.npz")
     with np.load(folder / f"{FILE}.npz") as archive:
         np.savez(folder / f"{FILE}.npz", **archive, **{"<script>alert(5)": archive["u"]})

@@ -61,7 +61,7 @@ READ = (
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("options")
-    synthetic_record(machine("emps2019"), laps=1).save(folder / "record.npz")
+    synthetic_record(machine("emps2019"), laps=1, stroke=0.1).save(folder / "record.npz")
     designed = machine("emps2018").replace(controller={"kind": "ip_velocity", "k_v1": 300.0, "t_v": 0.02})
     (folder / "designed.toml").write_text(designed.to_toml())
     return {"record": folder / "record.npz", "designed": folder / "designed.toml", "out": folder / "out.html"}

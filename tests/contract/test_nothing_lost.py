@@ -41,7 +41,7 @@ QUICK = ("gains", "observe", "simulate")
 
 @pytest.fixture
 def folder(tmp_path):
-    synthetic_record(machine("emps2019"), laps=1).save(tmp_path / "record.npz")
+    synthetic_record(machine("emps2019"), laps=1, stroke=0.1).save(tmp_path / "record.npz")
     (tmp_path / "axis.toml").write_text(machine("emps2019").to_toml())
     return tmp_path
 

@@ -39,7 +39,7 @@ def given(request, tmp_path_factory):
     case, *numbers = AXES[request.param]
     if case is None:
         axis = machine("emps2019")
-        record = synthetic_record(axis, laps=1)
+        record = synthetic_record(axis, laps=1, stroke=0.1)
     else:
         axis, record = in_kilovolts(Records(case))
     (folder / "axis.toml").write_text(axis.to_toml())

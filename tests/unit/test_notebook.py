@@ -15,7 +15,7 @@ RIPPLED = AXIS.replace(effects=[{"kind": "position_ripple", "amplitude": 2.0, "p
 
 @pytest.fixture(scope="module")
 def record():
-    return ed.synthetic_record(AXIS, laps=1)
+    return ed.synthetic_record(AXIS, laps=1, stroke=0.1)
 
 
 def test_an_axis_with_its_effects():

@@ -296,6 +296,6 @@ def test_results_of_a_rotary_axis_in_python():
     )
     shown = design_velocity_loop(axis, crossover=60.0, phase_margin_deg=60.0)._repr_html_()
     assert "<td>A/(rad/s)</td>" in shown
-    found = identify(synthetic_record(axis, laps=1), axis)
+    found = identify(synthetic_record(axis, laps=1, stroke=0.1), axis)
     assert found.to_dict()["parameters"]["viscous"]["unit"] == "N m/(rad/s)"
     assert "<td>kg m^2</td>" in found._repr_html_()

@@ -62,7 +62,7 @@ def test_every_option_that_asks_for_a_frequency(line, key, tmp_path, capsys, mon
     monkeypatch.setattr("emps_design.report.assemble.design_page", lambda results: Page("title", "", (), ()))
     record = tmp_path / "record.npz"
     if "{record}" in line:
-        synthetic_record(machine("emps2019"), laps=1).save(record)
+        synthetic_record(machine("emps2019"), laps=1, stroke=0.1).save(record)
     plain = {"40Hz": "40", "10Hz": "10"} if "cutoff" in key else {"10Hz": repr(20 * math.pi)}
     words = line.format(option=key, out=tmp_path / "out.html", record=record).split()
     found = []
@@ -142,7 +142,7 @@ def test_tables_fit_80_columns(line, tmp_path, capsys, monkeypatch):
     """Laid out with all the room there is, no table is wider than 80 columns, so none is squeezed at 80."""
     monkeypatch.setenv("COLUMNS", "200")
     record = tmp_path / "record.npz"
-    synthetic_record(machine("emps2019"), laps=1).save(record)
+    synthetic_record(machine("emps2019"), laps=1, stroke=0.1).save(record)
     run(line.format(record=record).split())
     rows = [row for row in capsys.readouterr().out.splitlines() if set(row) & set("│┃─━")]
     assert rows

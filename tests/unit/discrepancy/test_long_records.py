@@ -61,12 +61,12 @@ def test_a_window_decides_how_much_is_read(short):
 
 
 def test_a_window_too_long_is_refused(short):
-    hour = synthetic_record(AXIS, laps=1)
+    hour = synthetic_record(AXIS, laps=1, stroke=0.1)
     assert long_records.beginnings((hour, hour), (0.0, 1e4)) == (hour, hour)
 
 
 def test_a_record_that_can_be_searched_is_left_alone():
-    record = synthetic_record(AXIS, laps=1)
+    record = synthetic_record(AXIS, laps=1, stroke=0.1)
     assert long_records.beginnings((record,), None) == (record,)
 
 

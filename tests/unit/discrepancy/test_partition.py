@@ -77,7 +77,7 @@ def test_what_is_not_allowed_is_not_used():
 
 def test_what_confirms_is_not_seen_by_what_is_searched():
     axis = machine("emps2019")
-    lap = synthetic_record(axis, laps=1)
+    lap = synthetic_record(axis, laps=1, stroke=0.1)
     push = {"kind": "external_force", "start": 2 * lap.duration, "duration": 0.5, "every": 0.0}
     whole, other = (
         synthetic_record(axis.replace(effects=[{**push, "amplitude": force}]), laps=3) for force in (10.0, 30.0)

@@ -18,7 +18,7 @@ from emps_design.simulation.synthetic import synthetic_record
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("identify")
     for seed in range(3):
-        synthetic_record(machine("emps2019"), seed=seed, laps=1).save(folder / f"day{seed}.npz")
+        synthetic_record(machine("emps2019"), seed=seed, laps=1, stroke=0.1).save(folder / f"day{seed}.npz")
     return folder
 
 
@@ -42,7 +42,7 @@ def test_identify_shows_values_and_what_they_are_worth(folder, capsys):
 
 def test_no_share_of_a_force_that_is_nothing(folder, tmp_path, capsys):
     """A motor switched off in the last third: the filter rings on there, and an error in % of that says nothing."""
-    day = synthetic_record(machine("emps2019"), laps=1)
+    day = synthetic_record(machine("emps2019"), laps=1, stroke=0.1)
     off = np.where(np.arange(len(day)) < len(day) // 2, day.u, 0.0)
     path = tmp_path / "off.npz"
     Record.from_arrays(day.period, day.q_ref, day.q, off).save(path)
@@ -130,7 +130,7 @@ def test_observe_shows_its_bounds(folder, capsys):
 
 def test_observe_is_told_of_an_injected_voltage(folder, capsys):
     """A voltage added behind the controller is a force the drive does not know of: with it named, it is the truth."""
-    plain = synthetic_record(machine("emps2019"), laps=1)
+    plain = synthetic_record(machine("emps2019"), laps=1, stroke=0.1)
     wave = (np.arange(len(plain)) // 500 % 2).astype(np.uint8)
     made = Plant.of(machine("emps2019")).closed_loop(plain.q_ref, voltage_noise=3.0 * wave)
     np.savez(folder / "wave.npz", t=made.t, q_ref=plain.q_ref, q=made.q, u=made.u, wave=wave, gain=35.0)
@@ -153,7 +153,7 @@ def test_observe_is_told_of_an_injected_voltage(folder, capsys):
 
 def test_what_was_found_is_shown_even_where_it_is_no_machine(folder, tmp_path, capsys):
     """What helps the motion along makes Coulomb friction come out below zero: a table says so, a file cannot."""
-    day = synthetic_record(machine("emps2019"), laps=1)
+    day = synthetic_record(machine("emps2019"), laps=1, stroke=0.1)
     helped = replace(day, u=day.u - 1.5 * np.sign(np.gradient(day.q_ref)), sha256="")
     helped.save(tmp_path / "helped.npz")
     out = tmp_path / "found.toml"

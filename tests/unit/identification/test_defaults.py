@@ -39,7 +39,7 @@ STEPPING = Axis.from_dict(
 
 @pytest.fixture(scope="module")
 def day():
-    return synthetic_record(AXIS, laps=1)
+    return synthetic_record(AXIS, laps=1, stroke=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -254,7 +254,7 @@ def test_interval_of_a_chain_that_ignores_the_hold_knows_its_bias(truth):
     """On a quiet record the report's chain is wrong by more than its statistics; its interval says so."""
     from emps_design.simulation.synthetic import synthetic_record
 
-    quiet = synthetic_record(AXIS, laps=1)
+    quiet = synthetic_record(AXIS, laps=1, stroke=0.1)
     found = identify(quiet, AXIS, filter="report")
     mass = found.parameters["mass"]
     assert abs(mass.value - truth["mass"]) > 2 * mass.std_long_run

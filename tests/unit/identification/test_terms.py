@@ -163,7 +163,7 @@ def test_the_work_of_a_hand_tells_neither_inertia_nor_friction():
 
 def test_a_weight_on_a_line_is_the_constant_force():
     axis = machine("emps2019")
-    found = identify(synthetic_record(axis, laps=1), axis, with_="gravity")
+    found = identify(synthetic_record(axis, laps=1, stroke=0.1), axis, with_="gravity")
     assert list(found.parameters) == list(PLAIN)
     assert any("constant_force" in text for text in found.warnings)
 

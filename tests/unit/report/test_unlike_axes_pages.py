@@ -184,7 +184,7 @@ def test_where_no_gain_is_stable_the_whole_height_is_shaded():
 def test_a_record_is_identified_with_the_drive_of_the_axis_that_made_it(sketched):
     made_on = machine("emps2019")
     other = machine("emps2018").replace(name="other", drive={"force_gain": 70.0})
-    record = synthetic_record(made_on, laps=1)
+    record = synthetic_record(made_on, laps=1, stroke=0.1)
     own, alike = (
         assemble_report(other, record, design_on="axis", crossover=100.0, record_axis=axis) for axis in (made_on, None)
     )
@@ -198,7 +198,7 @@ def test_a_record_is_identified_with_the_drive_of_the_axis_that_made_it(sketched
 def test_a_record_of_an_axis_with_other_units_is_left_out_and_the_page_says_so(sketched):
     made_on = machine("emps2019")
     report = assemble_report(
-        JOINT, synthetic_record(made_on, laps=1), design_on="axis", crossover=100.0, record_axis=made_on
+        JOINT, synthetic_record(made_on, laps=1, stroke=0.1), design_on="axis", crossover=100.0, record_axis=made_on
     )
     page = report.page.html()
     assert report.found == ()

@@ -71,7 +71,7 @@ def test_what_no_number_of_the_controller_mends():
 
 def test_the_command_says_so_and_exits_4(tmp_path, capsys):
     record = tmp_path / "record.npz"
-    synthetic_record(machine("emps2019"), laps=1).save(record)
+    synthetic_record(machine("emps2019"), laps=1, stroke=0.1).save(record)
     (tmp_path / "axis.toml").write_text(machine("emps2019").replace(controller={"kp": 5000.0}).to_toml())
     words = ["simulate", str(tmp_path / "axis.toml"), "--scenario", "replay", "--record", str(record)]
     assert run([*words, "--json"]) == 4
@@ -85,7 +85,7 @@ def test_the_command_says_so_and_exits_4(tmp_path, capsys):
 
 
 def test_an_open_loop_that_diverges_has_no_nearest(tmp_path, capsys):
-    record = synthetic_record(machine("emps2019"), laps=1)
+    record = synthetic_record(machine("emps2019"), laps=1, stroke=0.1)
     record.save(tmp_path / "record.npz")
     effect = {"kind": "asymmetric_viscous_friction", "viscous_difference": -5000.0}
     axis = machine("emps2019").replace(effects=[effect], controller={"kind": "none"})

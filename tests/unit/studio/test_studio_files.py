@@ -40,7 +40,7 @@ def test_an_axis_file_is_opened_in_the_design_tab_and_records_are_taken_for_ones
 
 
 def test_an_axis_file_opened_beside_a_record_is_the_axis_of_the_record(session):
-    session.data._show(synthetic_record(AXIS, laps=1))
+    session.data._show(synthetic_record(AXIS, laps=1, stroke=0.1))
     opened(session.design.file, JOINT.to_toml().encode(), "joint.toml")
     assert session.data.machine.value == "emps2019"  # the record stays one of its own axis
     opened(session.data.file, AXIS.to_toml().encode())

@@ -228,7 +228,7 @@ def test_structure_and_filters_are_those_of_the_axis_until_others_are_chosen():
 
 def test_a_refused_upload_takes_the_record_before_it_away():
     axis = machine("emps2019")
-    record = synthetic_record(axis, laps=1)
+    record = synthetic_record(axis, laps=1, stroke=0.1)
     view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None, record)
     view._done({"advice": Advice("safe", "as known"), "text": "Identified", "html": "<p>result</p>", "model": axis})
     assert not view.take.disabled
@@ -244,7 +244,7 @@ def test_a_refused_upload_takes_the_record_before_it_away():
 
 def test_a_result_goes_when_a_choice_that_it_read_is_another():
     axis, other = machine("emps2019"), machine("emps2018")
-    record = synthetic_record(axis, laps=1)
+    record = synthetic_record(axis, laps=1, stroke=0.1)
     machines = {one.name: one for one in (axis, other)}
     view = DataView(lambda: machines, axis.name, state, lambda *turn: None, lambda axis: None, record)
 
@@ -277,7 +277,7 @@ def test_a_result_of_a_record_begins_with_what_to_do_with_it(level, shown):
 
 def test_a_motion_along_a_record_goes_with_that_record():
     axis = machine("emps2019")
-    session = Session(axis, synthetic_record(axis, laps=1))
+    session = Session(axis, synthetic_record(axis, laps=1, stroke=0.1))
     session.motion._of = session.state = session.state.changed(motion="record")
     session.motion._along, session.motion.table.object = session.data.record, "a result"
     session.data.filter.value = "paper"  # the record stays
@@ -288,7 +288,7 @@ def test_a_motion_along_a_record_goes_with_that_record():
 
 def test_the_columns_of_an_export_are_chosen_and_read():
     axis = machine("emps2019")
-    made = synthetic_record(axis, laps=1)
+    made = synthetic_record(axis, laps=1, stroke=0.1)
     rows = "\n".join(
         f"{1e3 * t:.3f};{1e3 * q:.6f};{1e3 * q_ref:.6f};{u:.6f}"
         for t, q, q_ref, u in zip(made.t, made.q, made.q_ref, made.u, strict=True)
@@ -617,7 +617,7 @@ def test_the_law_of_a_record_is_shown_and_designed_on(monkeypatch):
     from emps_design.studio.record_work import law_work
 
     axis = machine("emps2019")
-    record = synthetic_record(axis, laps=1)
+    record = synthetic_record(axis, laps=1, stroke=0.1)
     table = {"kind": "cascade", "position": {"kp": 12.0}, "velocity": {"kp": 300.0, "ti": 0.05}}
     told = controller.LawEstimate("r", controller.TOLD, "", table, {"velocity": {"kp": 3.0}}, 0.01, 0.02, "V")
     monkeypatch.setattr(controller, "identify_law", lambda record, unit: told)
@@ -639,7 +639,7 @@ def test_the_law_goes_on_the_axis_that_was_identified(at_once, monkeypatch):
 
     axis = machine("emps2019").replace(mechanics={"mass": 80.0}, controller={"kind": "none"})
     view = DataView(lambda: {axis.name: axis}, axis.name, state, lambda *turn: None, lambda axis: None)
-    view._show(synthetic_record(machine("emps2019"), laps=1))
+    view._show(synthetic_record(machine("emps2019"), laps=1, stroke=0.1))
     table = {"kind": "position_pd", "kp": 12.0, "kv": 300.0}
     told = controller.LawEstimate("r", controller.TOLD, "", table, {"kp": 3.0}, 0.01, 0.02, "V")
     monkeypatch.setattr(controller, "identify_law", lambda record, unit: told)
@@ -711,7 +711,7 @@ def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(
 
 def test_a_motion_from_a_file_or_the_records_reference(at_once):
     axis = machine("emps2019")
-    session = Session(axis, synthetic_record(axis, laps=1))
+    session = Session(axis, synthetic_record(axis, laps=1, stroke=0.1))
     view = session.motion
     session.design.turn("motion", "file")
     view._start()

@@ -44,7 +44,7 @@ FLEXIBLE = machine("emps2018").replace(
     name="flexible", effects=[{"kind": "flexible_coupling", "frequency": 45.0, "damping": 0.03, "share": 0.3}]
 )
 LATE = JOINT.replace(name="late", sampling={"period": 0.1e-3, "computation_delay": 8})
-RECORD = synthetic_record(machine("emps2019"), laps=1)
+RECORD = synthetic_record(machine("emps2019"), laps=1, stroke=0.1)
 SLOW = [{"kind": "lowpass", "frequency": 0.3}] * 3  # with which no loop is stable
 
 
