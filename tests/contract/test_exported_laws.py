@@ -26,6 +26,8 @@ from tests.contract.test_laws import ESTIMATED, GIVEN, OWN, OWN_TABLE, axis_with
 from tests.studies import quick
 from tests.unit.compensation.test_compensation import DUTY, EFFECTS_HERE
 
+pytestmark = pytest.mark.usefixtures("short_vectors")
+
 CC = shutil.which("cc")
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
 LIGHT = {  # fast, fine, turning

@@ -24,6 +24,8 @@ from tests.contract.test_laws import ESTIMATED, axis_with
 from tests.studies import quick
 from tests.unit.codegen.structured_text import Blocks
 
+pytestmark = pytest.mark.usefixtures("short_vectors")
+
 EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
 
 
