@@ -15,7 +15,7 @@ def plant():
     return Plant.of(machine("emps2019"))
 
 
-def simulated(seed: int, laps: int = 2, std: float = 1.0, time: float = 0.1) -> Record:
+def simulated(seed: int, laps: int = 1, std: float = 1.0, time: float = 0.1) -> Record:
     """A record of the embedded machine with slow force noise and 4 mV of voltage noise."""
     return noisy_record(plant(), seed, laps, std, time)
 

@@ -41,7 +41,7 @@ def test_least_squares_is_biased_by_fast_force_noise_and_instruments_are_not(sim
 
 
 def test_instruments_are_taken_where_least_squares_is_biased_and_only_there(simulate, truth):
-    noisy, other = simulate(0, std=25.0, time=0.005), simulate(9)
+    noisy, other = simulate(0, laps=2, std=25.0, time=0.005), simulate(9)
     led = identify(noisy, AXIS, cutoff=60.0, holdout=other)
     assert led.estimator == "instrumental_variables"
     assert any(text.startswith("mass: the reference explains 44 % of its column") for text in led.warnings)
