@@ -67,7 +67,7 @@ def test_a_law_that_swings_though_its_poles_are_stable_gets_one_that_does_not():
     assert f"nearest stable: mass {other['mass']:.4g} kg" in said
 
 
-def test_an_axis_that_friction_does_not_hold_sinks_and_no_coulomb_factor_helps():
+def test_an_axis_that_friction_does_not_hold_sinks_and_no_coulomb_factor_helps(no_walls):
     assert sinking_force(FrictionModel.of(HANGING)) == 48.0
     assert sinking_force(FrictionModel.of(AXIS)) == 0.0
     found = assess_impedance(HANGING, 20.0, 50.0, 0.02, plants=10).to_dict()
@@ -95,7 +95,7 @@ def test_a_creep_that_has_settled_does_not_grow():
     assert {"creeping", "dead_band"} == {one["verdict"] for one in plants}
 
 
-def test_a_stiffness_ends_every_drift():
+def test_a_stiffness_ends_every_drift(no_walls):
     law, plant = impedance_law(AXIS, 50.0, 100.0, stiffness=200.0), FrictionModel.of(AXIS)
     over = law.with_errors({"mass": 0.02, "viscous": 0.02, "coulomb": 0.02})
     free = impedance_law(AXIS, 50.0, 100.0).with_errors({"coulomb": 0.02})
