@@ -1,9 +1,10 @@
 """What stands in for the log of a robot on the page "My record is slow, irregular, from a robot".
 
 ``python slow_log.py`` simulates a joint with a weight under a drive of 1 kHz and writes what its controller logs at
-100 Hz, by a clock of its own: ``joint.csv``, and ``joint.toml`` with what the data sheet says.
+100 Hz, by a clock of its own: ``joint.csv``. ``python slow_log.py axis`` writes what is known of it: ``joint.toml``.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -58,13 +59,22 @@ def programme(random: np.random.Generator, strokes: int = 16) -> np.ndarray:
     return np.concatenate(parts)
 
 
-if __name__ == "__main__":
+def log() -> str:
+    """What the controller logs of a run: instants of position and current, up to 3 ms late by their own stamps."""
     random = np.random.default_rng(4)
     run = Plant.of(JOINT).closed_loop(programme(random))
-    stamps = 10 * np.arange(len(run.q) // 10 - 1) + random.integers(0, 4, len(run.q) // 10 - 1)  # up to 3 ms late
+    stamps = 10 * np.arange(len(run.q) // 10 - 1) + random.integers(0, 4, len(run.q) // 10 - 1)
     current = run.u[stamps] + 0.05 * random.standard_normal(stamps.size)
     rows = zip(1e-3 * stamps, run.q[stamps], current, strict=True)
     lines = ["timestamp,actual_q,actual_current", *(f"{t:.3f},{q:.6f},{i:.4f}" for t, q, i in rows)]
-    Path("joint.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    Path("joint.toml").write_text(AXIS, encoding="utf-8")
-    print("\n".join(lines[:4]))
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["axis"]:
+        Path("joint.toml").write_text(AXIS, encoding="utf-8")
+        print(AXIS)
+    else:
+        text = log()
+        Path("joint.csv").write_text(text, encoding="utf-8")
+        print("\n".join(text.splitlines()[:4]))

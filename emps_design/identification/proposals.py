@@ -122,16 +122,21 @@ class Strokes:
         ``others`` are columns (rows, k) of further forces beside them. With the strokes ``known`` of another record
         what those say, all together, predicts.
         """
-        forms = self._forms(terms, others)
-        error = np.zeros(len(self.Y))
         if known is not None:
-            told, which = known._told(known._forms(terms), np.ones(len(known.Y), bool))
-            return self.Y - forms[which] @ told
+            value, which = known._told(known._forms(terms), np.ones(len(known.Y), bool))
+            return self.Y - self._forms(terms)[which] @ value
+        forms, error = self._forms(terms, others), np.zeros(len(self.Y))
         for fold in np.unique(self.fold):
             out = self.fold == fold
             value, which = self._told(forms, ~out)
             error[out] = self.Y[out] - forms[which][out] @ value
         return error
+
+    def residual(self, terms: Sequence[str], others: Sequence[np.ndarray] = ()) -> np.ndarray:
+        """What a model with ``terms`` and ``others``, fitted to all of them, leaves (rows,) [N]."""
+        forms = self._forms(terms, others)
+        value, which = self._told(forms, np.ones(len(self.Y), bool))
+        return self.Y - forms[which] @ value
 
     def _forms(self, terms: Sequence[str], others: Sequence[np.ndarray] = ()) -> list[np.ndarray]:
         """The regressor (rows, p) with ``terms`` and ``others``; of a bent friction, one with each power."""

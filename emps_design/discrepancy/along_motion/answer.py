@@ -284,7 +284,7 @@ def _unexplained(found: Found, gap: Gap, noise: float) -> dict[str, Any]:
 
 
 def _warnings(found: Found) -> list[str]:
-    fitted, late = found.extended, found.balance.late
+    fitted, late = found.extended, found.balance.clock.samples
     remarks = [*found.warnings]
     if abs(late) > BESIDE:
         remarks.append(

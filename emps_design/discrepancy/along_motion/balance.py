@@ -18,7 +18,7 @@ from emps_design.discrepancy.model.missing_force import MissingForce
 from emps_design.effects import Effect
 from emps_design.effects.terms import TERMS
 from emps_design.identification.by_least_squares import identify_by_least_squares
-from emps_design.identification.command_clock import logged_beside, moved
+from emps_design.identification.command_clock import Beside, logged_beside, moved
 from emps_design.identification.cutoff import chosen_cutoff
 from emps_design.identification.excitation import goes_one_way
 from emps_design.identification.filtered import Filtered
@@ -38,24 +38,30 @@ class Fitted:
     """A model fitted to a balance: ``model`` around its solution ``value`` (p,), none of what resists below nothing.
 
     ``found`` is the identification, with the deviations; ``parameters`` the numbers by name, ``held`` the names of
-    those that would have been below nothing.
+    those that would have been below nothing; ``moves`` what the deviation of the command's clock does to each.
     """
 
     found: Identification
     model: Model
     value: np.ndarray
     held: tuple[str, ...]
+    moves: Mapping[str, float]
 
     @classmethod
-    def of(cls, found: Identification) -> Fitted:
-        """The model of an identification, solved again within bounds where a number is below nothing."""
+    def of(cls, found: Identification, beside: Sequence[Filtered]) -> Fitted:
+        """The model of an identification, solved again within bounds where a number is below nothing.
+
+        ``beside`` are the two rows of forces at the ends of what the command's clock leaves open.
+        """
         W, Y, model = found.series["columns"], found.series["measured"], found.fitted
         if model.friction != ONE_WAY and len(model.names) != W.shape[1]:
             model = replace(model, friction=ONE_WAY)
         free, resists = solved(W, Y), sum(name in RESISTS for name in model.names)
         held = tuple(name for name, value in zip(model.names[:resists], free, strict=False) if value < 0.0)
         value = solved(W, Y, resists)
-        return cls(found, model, value, held)
+        ends = [model.natural(solved(*regression(one, model), resists)) for one in beside]
+        moves = {name: 0.5 * abs(ends[1][name] - ends[0][name]) for name in model.names}
+        return cls(found, model, value, held, moves)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -76,12 +82,12 @@ class Fitted:
         ends = self.found.parameters[name].interval_95
         if ends is None or name in self.held:
             return 0.0
-        return 0.5 * (ends[1] - ends[0]) / self.found.residual.quantile
+        return float(np.hypot(0.5 * (ends[1] - ends[0]) / self.found.residual.quantile, self.moves[name]))
 
 
 @dataclass(frozen=True)
 class Balance:
-    """A ``record`` along its motion, for an ``axis``, with its command ``late`` samples earlier, below ``cutoff`` [Hz].
+    """A ``record`` of an ``axis`` along its motion, its command moved as its ``clock`` says, below ``cutoff`` [Hz].
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -95,7 +101,7 @@ class Balance:
     record: Record
     axis: Axis
     friction: str
-    late: float
+    clock: Beside
     cutoff: float
     filtered: Filtered = field(repr=False)
 
@@ -106,10 +112,16 @@ class Balance:
         if alike is None:
             friction = ONE_WAY if goes_one_way(record) else SYMMETRIC
             cutoff = chosen_cutoff(acting(record, axis))
-            late = logged_beside(record, axis, friction, cutoff)
+            clock = logged_beside(record, axis, friction, cutoff)
         else:
-            friction, cutoff, late = alike.friction, alike.cutoff, alike.late
-        return cls(record, axis, friction, late, cutoff, filter_record(moved(record, late), axis, "hold", cutoff))
+            friction, cutoff, clock = alike.friction, alike.cutoff, alike.clock
+        filtered = filter_record(moved(record, clock.samples), axis, "hold", cutoff)
+        return cls(record, axis, friction, clock, cutoff, filtered)
+
+    @cached_property
+    def moved(self) -> Record:
+        """The record with its command where the motion answers to it."""
+        return moved(self.record, self.clock.samples)
 
     @cached_property
     def strokes(self) -> Strokes:
@@ -119,7 +131,13 @@ class Balance:
     def fitted(self, terms: Sequence[str] = ()) -> Fitted:
         """The model with ``terms`` that leaves least; raises as :func:`~emps_design.identification.identify` does."""
         asked = Request(SYMMETRIC, BY_LEAST_SQUARES, cutoff=self.cutoff, with_=tuple(terms) or NO_TERMS)
-        return Fitted.of(identify_by_least_squares(moved(self.record, self.late), self.axis, asked))
+        return Fitted.of(identify_by_least_squares(self.moved, self.axis, asked), self._beside)
+
+    @cached_property
+    def _beside(self) -> list[Filtered]:
+        """The same forces with the command a deviation of its clock to either side."""
+        ends = [self.clock.samples + side * self.clock.std for side in (-1.0, 1.0)]
+        return [filter_record(moved(self.record, end), self.axis, "hold", self.cutoff) for end in ends]
 
     def force(self, fitted: Fitted) -> np.ndarray:
         """The force (rows,) [N] that a model asks for along the motion."""

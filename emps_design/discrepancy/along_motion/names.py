@@ -17,7 +17,6 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.along_motion.balance import Balance, Fitted
 from emps_design.effects import Effect
 from emps_design.effects.terms import BENT
-from emps_design.identification.command_clock import moved
 from emps_design.identification.proposals import FEWEST_STROKES, Strokes, proposed_terms
 from emps_design.quantities import inside
 
@@ -60,7 +59,7 @@ def asked_for(
     """
     if balance.strokes.count < FEWEST_STROKES:
         return (), []
-    proposed = proposed_terms(moved(balance.record, balance.late), balance.axis, balance.friction, balance.cutoff)
+    proposed = proposed_terms(balance.moved, balance.axis, balance.friction, balance.cutoff)
     asked = [term for term in proposed if term in terms]
     strokes, lost, said = balance.strokes, {}, []
     whole = strokes.errors(asked)

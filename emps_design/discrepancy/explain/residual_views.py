@@ -138,7 +138,7 @@ def _binned(
 def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: float) -> View:
     from scipy.signal import welch
 
-    length = int(min(4096, max(256, window.sum() // 4)))
+    length = int(min(4096, max(256, window.sum() // 4), window.sum()))
     amplitudes = []
     for force in pairs:
         frequency, density = welch(force[window], 1 / period, nperseg=length, detrend="constant")
