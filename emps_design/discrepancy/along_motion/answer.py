@@ -26,7 +26,7 @@ from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
 from emps_design.identification.proposals import TWICE
-from emps_design.identification.unexplained import LITTLE, MUCH, Unexplained
+from emps_design.identification.unexplained import LITTLE, Unexplained
 from emps_design.observer import motor_force
 from emps_design.quantities import inside, rounded
 from emps_design.records import Record
@@ -36,6 +36,7 @@ BALANCED = (
     "forces are balanced along the measured motion and nothing is simulated: of the effects only those are looked for "
     "that the motion of a moment tells, {looked_for}"
 )
+MOST_LEFT = 0.1  # of the force, up to which what does not come again with the motion may be noise and no more
 BESIDE = 0.75  # samples, from which on a command is said to be logged beside the motion: instants are half a sample
 
 
@@ -66,6 +67,11 @@ class Found:
         return Unexplained(told["share"], told["structure"], told["passes"], told["widening"])
 
     @property
+    def lacks(self) -> bool:
+        """Whether something is left that no term explains: it comes again with the motion, or is much."""
+        return self.left.structure > LITTLE or self.left.share > MOST_LEFT
+
+    @property
     def off(self) -> list[int]:
         """Places in the baseline at which the axis file is off: clearly, and by more than next to nothing."""
         given, places = self.balance.axis.mechanics.array(), []
@@ -79,11 +85,11 @@ class Found:
 
     @property
     def verdict(self) -> str:
-        """The contract's verdict: what is left counts where it comes again with the motion, or is much."""
+        """The contract's verdict."""
         if self.named:
             alike = any(one.equivalents for one in self.named)
-            return "partly-named" if self.left.matters else "ambiguous" if alike else "named"
-        if self.left.matters:
+            return "partly-named" if self.lacks else "ambiguous" if alike else "named"
+        if self.lacks:
             return "unnamed"
         return "parameters-only" if self.off else "nothing-missing"
 
@@ -94,7 +100,7 @@ def answer(found: Found, axis: Axis) -> Diagnosis:
     before, after = (balance.missing(one) for one in (found.baseline, found.extended))
     forces = balance.filtered.force[balance.filtered.used]
     gap = _gap(*(balance.left(one)[balance.filtered.used] for one in (found.baseline, found.extended)))
-    left, noise = found.left, found.left.noise * float(np.sqrt(np.mean(forces**2)))
+    noise = found.left.noise * float(np.sqrt(np.mean(forces**2)))
     ratio = noise / max(gap.extended, 1e-300)
     low, high = (ratio * end for end in gap.intervals["extended"])
     floor = Floor(noise, noise, (low, high), (low, high), Whitening.none(), np.zeros(0), NOISE)
@@ -129,11 +135,11 @@ def answer(found: Found, axis: Axis) -> Diagnosis:
             f"{found.extended.parameters[BASELINE[i].name]:.5g} {BASELINE[i].unit}"
             for i in found.off
         )
-    if left.matters:
+    if found.lacks:
         details["unexplained"] = _unexplained(found, gap, noise)
         over = details["unexplained"]["over"]
     experiment = None
-    if left.matters:
+    if found.lacks:
         experiment = Experiment(varies(over)[1])
     elif found.named:
         experiment = Experiment(found.named[0].effect.experiment)
@@ -295,7 +301,7 @@ def _warnings(found: Found) -> list[str]:
     if fitted.held:
         remarks.append(f"{', '.join(fitted.held)}: held at nothing, for the record asks for less, which no axis has")
     left = found.left
-    if left.share > MUCH and left.structure <= LITTLE:
+    if left.share > MOST_LEFT and left.structure <= LITTLE:
         remarks.append(
             f"{100 * left.share:.2g} % of the force is left and does not come again with the motion: noise of the "
             "command, or something that remembers what was before"
