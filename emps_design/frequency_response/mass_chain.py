@@ -147,7 +147,7 @@ class MassChain:
 
 
 def chain_response(theta: np.ndarray, n: int, s: np.ndarray) -> np.ndarray:
-    """Force to velocity (..., m) at ``s`` (m,) [rad/s] of ``n`` masses; ``theta`` (..., p) as :class:`MassChain` has it."""
+    """Force to velocity (..., m) at ``s`` (m,) [rad/s] of ``n`` masses; ``theta`` (..., p) as in :class:`MassChain`."""
     masses, springs, dampers = (np.moveaxis(part, -1, 0)[..., None] for part in split(theta, n))
     impedance = masses[-1] * s
     for mass, spring, damper in zip(masses[-2::-1], springs[::-1], dampers[::-1], strict=True):
