@@ -79,6 +79,7 @@ def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
             lambda: those(_FORCE, but=f"{_ACTUAL}|{drive}"),
             lambda: those(_FORCE, but=drive),
             lambda: alone(r"cmd|command|stellgröße|u", "u"),
+            lambda: alone(r"i|tau", "u"),  # a current, a torque, by the letter and the unit
         ),
         "velocity_reference": those(_SET, _VELOCITY, name="velocity"),
         "velocity": _first(

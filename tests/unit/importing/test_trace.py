@@ -141,6 +141,13 @@ def test_with_its_unit_nothing_of_the_table_waits(tmp_path):
     assert tomllib.loads(text)["record"]["velocity"] == {"column": "Speed", "unit": "rpm"}
 
 
+@pytest.mark.parametrize(("title", "command"), [("i [A]", "current"), ("tau [N m]", "torque")])
+def test_a_letter_with_its_unit_is_the_command(tmp_path, title, command):
+    trace, text = written(tmp_path, "\n".join([f"t [s],theta [rad],{title}", *rows(T, Q, U, between=",")]))
+    assert (trace.units.motion, trace.units.command) == ("rotary", command)
+    assert tomllib.loads(text)["record"]["command"]["column"] == title.split()[0]
+
+
 def test_columns_with_the_names_of_a_record_are_not_asked_for(tmp_path):
     trace, text = written(tmp_path, "\n".join(["t,x,u", *rows(T, Q, U, between=",")]))
     assert trace.guessed == ("q",)
