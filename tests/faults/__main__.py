@@ -51,7 +51,8 @@ def own(tree: Path, name: str) -> list[str]:
     """Unit tests of the room called ``name``, and its doctests."""
     place = tree / "emps_design" / name
     tests = tree / "tests" / "unit" / name
-    return [str(path.relative_to(tree)) for path in (tests, place, place.with_suffix(".py")) if path.exists()]
+    places = (tests, tests.with_name(f"test_{name}.py"), place, place.with_suffix(".py"))
+    return [str(path.relative_to(tree)) for path in places if path.exists()]
 
 
 def near(tree: Path, name: str) -> list[str]:
