@@ -220,3 +220,10 @@ def test_what_a_kill_left_aside_goes_and_blocks_nobody(folder, kind):
     assert not os.path.lexists(left)
     assert (kept / "file").exists()
     assert np.size(list(folder.glob(".*"))) == 0
+
+
+def test_results_that_want_a_folder_do_not_take_a_file(tmp_path, capsys):
+    (tmp_path / "notes").write_text("mine")
+    assert app.run(["export", "emps2019", "--to", "c", "--out", str(tmp_path / "notes")]) == 2
+    assert "notes: found a file, expected a folder for the results" in capsys.readouterr().err
+    assert (tmp_path / "notes").read_text() == "mine"

@@ -129,3 +129,13 @@ def test_a_document_has_its_feed_forward_in_numbers_and_its_origin():
     assert all(isinstance(ahead[key], float) for key in ("gain", "back_emf", "reversal", "wait"))
     assert ahead["gain"] == axis.drive.gain
     assert all(isinstance(number, float) for number in ahead["own"])
+
+
+def test_of_a_whole_and_a_real_number_the_larger_is_real():
+    program = read_program(larger, (INT, REAL))
+    assert program.kernel.result == REAL
+    assert program.calls == {"max"}
+
+
+def larger(k, x):
+    return max(k, x)

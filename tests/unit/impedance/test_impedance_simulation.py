@@ -8,6 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from emps_design.comanipulation.assessment import assess_impedance
+from emps_design.comanipulation.measures import MEASURES, NAMES, measure
 from emps_design.comanipulation.run import run_many, run_task
 from emps_design.comanipulation.scenario import run_comanipulation
 from emps_design.comanipulation.sensor_comparison import CASCADE, NO_SENSOR, SENSOR, compare_sensors
@@ -505,3 +506,12 @@ def test_axis_file_with_an_impedance_controller_closes_its_loop(axis):
     assert found.v[-1] == pytest.approx((40.0) / 100.0 * (1 - math.exp(-0.6 * 100 / 50)), rel=0.05)
     with pytest.raises(AxisError, match="controller: kind 'impedance' needs mass, damping"):
         axis.replace(controller={"kind": "impedance"})
+
+
+def test_a_voltage_that_goes_from_limit_to_limit_is_counted():
+    n, measures = 600, np.zeros(MEASURES)
+    half_waves = np.where(np.arange(n) // 20 % 2 == 0, 10.0, -10.0)  # V, 30 of 20 samples each
+    still = np.zeros(n + 1)
+    measure(still, still, half_waves, np.zeros(n), np.zeros(n), np.ones((300, 4)), 10.0, 1e-3, 300, 500, measures)
+    assert measures[NAMES.index("flips")] == 29
+    assert measures[NAMES.index("clipped")] == n
