@@ -163,7 +163,8 @@ class Axis(Table):
             elif key == "effects":
                 value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
             data[key] = value
-        return self if data == own else Axis.from_dict(data, self.name)
+        unchanged = repr(data) == repr(own)  # True is no 1.0, and an array no number
+        return self if unchanged else Axis.from_dict(data, self.name)
 
     def _repr_html_(self) -> str:
         kind, unit = self.controller.kind, self.units.unit

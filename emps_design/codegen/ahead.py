@@ -65,7 +65,7 @@ class Ahead:
                 break
         stops.append((tau, within))
         stops += self._later(motion, tau, within, now) if self.repeats and settled else []
-        force = now.rounded(tau, np.zeros(0), 0.0, max(abs(one - tau) + bound for one, bound in stops))
+        force = now.within(tau, max(abs(one - tau) + bound for one, bound in stops))
         if self.feedforward.back_emf:
             force = force + now.constant(self.feedforward.back_emf) * motion[1]
         return force / self.feedforward.axis.drive.gain, several
@@ -83,7 +83,7 @@ class Ahead:
     def _pass(self, motion: Sequence[float], tau: float, within: float, now: Roundings) -> tuple[float, float, bool]:
         """One sum, from a motor force that single precision has ``within`` so much of ``tau``; its value and bound."""
         own = Roundings()
-        before, added = own.rounded(tau, np.zeros(0), 0.0, within), rounded_sums(self.parts, own)
+        before, added = own.within(tau, within), rounded_sums(self.parts, own)
 
         def run() -> list[Rounded]:
             q, v, a = (own.exact(x) for x in motion)

@@ -59,7 +59,7 @@ def _extreme(choose: Callable[..., Any], numbers: tuple[Any, ...]) -> Any:
     if all(abs(side.value - taken.value) > side.bound + taken.bound for side in sides if side is not taken):
         return taken
     low, high = choose(side.value - side.bound for side in sides), choose(side.value + side.bound for side in sides)
-    return kept.roundings.rounded(taken.value, np.zeros(0), 0.0, max(taken.value - low, high - taken.value))
+    return kept.roundings.within(taken.value, max(taken.value - low, high - taken.value))
 
 
 def on_rounded(function: Callable[..., Any]) -> Callable[..., Any]:

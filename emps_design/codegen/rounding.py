@@ -63,7 +63,11 @@ class Roundings:
         >>> Roundings().constant(0.1).bound == abs(float(np.float32(0.1)) - 0.1)
         True
         """
-        return self.rounded(value, NONE, 0.0, _lost(value))
+        return self.within(value, _lost(value))
+
+    def within(self, value: float, own: float) -> Rounded:
+        """A number of which single precision holds something at most ``own`` away, for a reason of its own."""
+        return self.rounded(value, NONE, 0.0, own)
 
     def rounded(self, value: float, shares: np.ndarray, bound: float, own: float) -> Rounded:
         """A number with ``shares`` of the roundings before, ``bound`` in all, and one more of size ``own``."""
@@ -159,7 +163,7 @@ class Rounded:
     def __abs__(self) -> Rounded:
         if abs(self.value) >= self.bound:
             return -self if self.value < 0.0 else self
-        made = self.roundings.rounded(abs(self.value), NONE, 0.0, self.bound)
+        made = self.roundings.within(abs(self.value), self.bound)
         made.positive = True
         return made
 

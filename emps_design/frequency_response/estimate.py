@@ -40,6 +40,7 @@ from emps_design.laws import NONE
 from emps_design.observer import given_back, motor_share
 from emps_design.progress import Progress, untold
 from emps_design.records import Record
+from emps_design.records.clock import same_period
 
 METHODS = ("periodic", "stepped", "local-polynomial", "welch")
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as large as the response
@@ -196,12 +197,12 @@ def _driven(record: Record, axis: Axis) -> Record:
 
 def _same_period(records: list[Record], axis: Axis) -> float:
     for record in records:
-        if abs(record.period / records[0].period - 1.0) > 1e-3:
+        if not same_period(record.period, records[0].period):
             raise RecordError(
                 f"{record.name}: sampled every {record.period:g} s, {records[0].name} every {records[0].period:g} s; "
                 "expected the same period"
             )
-    if axis.sampling.computation_delay and abs(records[0].period / axis.sampling.period - 1.0) > 1e-3:
+    if axis.sampling.computation_delay and not same_period(records[0].period, axis.sampling.period):
         raise RecordError(
             f"{records[0].name}: sampled every {records[0].period:g} s, axis {axis.name} every "
             f"{axis.sampling.period:g} s; expected the same period, since its computation delay is in samples"

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from emps_design.axis import NO_LIMIT, Axis
@@ -299,3 +300,10 @@ def test_results_of_a_rotary_axis_in_python():
     found = identify(synthetic_record(axis, laps=1, stroke=0.1), axis)
     assert found.to_dict()["parameters"]["viscous"]["unit"] == "N m/(rad/s)"
     assert "<td>kg m^2</td>" in found._repr_html_()
+
+
+@pytest.mark.parametrize("value", [True, np.array([1.0]), np.array([1.0, 2.0])])
+def test_what_equals_a_number_and_is_none_does_not_replace_it(value):
+    one = machine("emps2019").replace(mechanics={"mass": 1.0})
+    with pytest.raises(AxisError, match=r"mechanics.mass: found .*, expected a number"):
+        one.replace(mechanics={"mass": value})
