@@ -8,7 +8,7 @@ beside them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -103,7 +103,6 @@ class Balance:
     friction: str
     clock: Beside
     cutoff: float
-    filtered: Filtered = field(repr=False)
 
     @classmethod
     def of(cls, record: Record, axis: Axis, alike: Balance | None = None) -> Balance:
@@ -115,13 +114,17 @@ class Balance:
             clock = logged_beside(record, axis, friction, cutoff)
         else:
             friction, cutoff, clock = alike.friction, alike.cutoff, alike.clock
-        filtered = filter_record(moved(record, clock.samples), axis, "hold", cutoff)
-        return cls(record, axis, friction, clock, cutoff, filtered)
+        return cls(record, axis, friction, clock, cutoff)
 
     @cached_property
     def moved(self) -> Record:
         """The record with its command where the motion answers to it."""
         return moved(self.record, self.clock.samples)
+
+    @cached_property
+    def filtered(self) -> Filtered:
+        """That record behind the filters of ``identify``."""
+        return filter_record(self.moved, self.axis, "hold", self.cutoff)
 
     @cached_property
     def strokes(self) -> Strokes:
