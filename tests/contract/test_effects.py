@@ -200,11 +200,16 @@ def test_declared_passivity(effect):
 def test_regressor_times_coefficients_is_the_kernel(effect):
     # Differences of a measured position stand for derivatives in the check of a sensor, and want short steps.
     motion = stroke_motion(40000, 1e-4) if effect.sensor is not None else stroke_motion()
-    parameters = typical(effect)
     if effect.regressor is None:
         assert effect.no_regressor
         assert not effect.linear
         return
+    every = {tuple(parameters.items()): parameters for parameters, *_ in effect.checks}
+    for parameters in every.values() if effect.channel == "plant" else (typical(effect),):
+        assert_regressor_gives_the_kernel(effect, parameters, motion)
+
+
+def assert_regressor_gives_the_kernel(effect, parameters, motion):
     shape = {name: parameters[name] for name in effect.shape}
     columns = effect.regressor(motion, shape, B)
     assert columns.shape == (motion.t.size, len(effect.linear))

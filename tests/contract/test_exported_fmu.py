@@ -12,7 +12,7 @@ import emps_design.effects as effects
 from emps_design.axis import Axis
 from emps_design.cli import app
 from emps_design.codegen import export_controller, fmu
-from emps_design.codegen.fmu import controller_unit, machine_unit
+from emps_design.codegen.fmu import controller_unit, machine_unit, machine_vectors
 from emps_design.compensation import compensate
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError
@@ -225,6 +225,13 @@ def test_the_folder_has_both_units_and_says_what_is_in_them(tmp_path, capsys, mo
 @pytest.mark.study("four units")
 def test_the_same_axis_gives_the_same_bytes():
     assert machine_unit("m", machine("emps2019")) == plain_unit()
+
+
+def test_the_vectors_of_a_machine_move_it_both_ways_against_a_constant_force():
+    axis = machine("emps2019")
+    axis = axis.replace(mechanics={"offset": 0.9 * axis.mechanics.coulomb})
+    v = np.array([float(row.split(",")[3]) for row in machine_vectors(axis).splitlines()[1:]])
+    assert v.min() < 0.0 < v.max()
 
 
 def test_what_a_unit_refuses(tmp_path):

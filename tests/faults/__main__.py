@@ -35,7 +35,8 @@ def last(tree: Path, patch: Path) -> list[str]:
     line = patch.read_text(encoding="utf-8").partition("\n")[0]
     file, _, function = line.removeprefix(FOUND_BY).partition("::")
     place = tree / file
-    known = line.startswith(FOUND_BY) and place.exists() and function.partition("[")[0] in place.read_text("utf-8")
+    name = function.partition("[")[0].rpartition(".")[2]  # of a doctest the function it describes
+    known = line.startswith(FOUND_BY) and place.exists() and name in place.read_text("utf-8")
     return [f"{file}::{function}"] if known else []
 
 

@@ -151,6 +151,8 @@ def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tu
     >>> from emps_design.machines import machine
     >>> safety_words(machine("emps2018"), 50.0, 100.0, 0.02)
     ()
+    >>> safety_words(machine("emps2018"), 50.0, 1.0, 0.02)[0].partition(",")[0]
+    'not safe: B = 1 N/(m/s) is within the 2 % error of F_v'
     """
     plant = FrictionModel.of(axis)
     words = []

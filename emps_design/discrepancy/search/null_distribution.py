@@ -38,7 +38,12 @@ class Healthy:
         return float(self.largest[min(rank, self.largest.size) - 1])
 
     def p_value(self, gain: float) -> float:
-        """Share of healthy records, this one included, whose largest gain is at least ``gain``."""
+        """Share of healthy records, this one included, whose largest gain is at least ``gain``.
+
+        >>> healthy = Healthy(np.array([1.0, 2.0, 3.0]))
+        >>> healthy.p_value(2.0), healthy.p_value(5.0)
+        (0.75, 0.25)
+        """
         return float((1 + np.sum(self.largest >= gain)) / (1 + self.largest.size))
 
 

@@ -293,6 +293,16 @@ def test_the_gain_that_is_named_scales_the_loop(kind):
     np.testing.assert_allclose(axis_loop(halved).poles, axis_loop(weaker).poles, atol=1e-6)
 
 
+def test_the_limit_of_a_gain_leaves_the_back_emf_of_a_motor_as_it_is():
+    play = {"kind": "backlash", "gap": 2e-4, "frequency": 20.0, "damping": 0.02, "share": 0.7}
+    controller = {"kind": "position_pd", **DUTY["controller"]}
+    axis = with_effects(play, drive=DUTY["drive"], controller=controller, sampling={"computation_delay": 2})
+    halved = axis.replace(controller={**controller, get_law("position_pd").gain: 0.5 * controller["kv"]})
+    factor = largest_factor(axis, 0)
+    assert 0.01 < factor < 100.0
+    assert largest_factor(halved, 0) == pytest.approx(2.0 * factor, rel=1e-3)
+
+
 def test_a_coupling_gets_a_filter_that_the_loop_can_be_run_with():
     """The advised gains behave as advised in the loop of an axis that has them, and not without the filter."""
     coupling = {"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}

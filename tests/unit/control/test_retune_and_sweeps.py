@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emps_design.control.plant.actuator import ActuatorMap
 from emps_design.control.plant.discretisation import sample_axis
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.implementation import encoder_voltage_noise, largest_velocity_step
@@ -190,6 +191,17 @@ def test_the_largest_step_reaches_the_limit():
     found = largest_velocity_step(AXIS, design.sampled)
     _, _, voltage = design.sampled.step_response(2000)
     assert found["value"] * np.max(voltage) + found["dry_friction_voltage"] == pytest.approx(10.0)
+
+
+def test_the_largest_step_is_that_of_the_worse_direction(monkeypatch):
+    """An amplifier that passes half of a negative command: friction takes twice the voltage that way."""
+    design = design_velocity_loop(AXIS, crossover=100.0, phase_margin_deg=60.0)
+    alike = largest_velocity_step(AXIS, design.sampled)
+    halves = ActuatorMap(AXIS.drive.command_limit, (lambda u: u if u > 0.0 else 0.5 * u,))
+    monkeypatch.setattr(ActuatorMap, "of", classmethod(lambda cls, axis: halves))
+    found = largest_velocity_step(AXIS, design.sampled)
+    less = found["dry_friction_voltage"] / found["peak_voltage_per_unit"]
+    assert found["value"] == pytest.approx(alike["value"] - less)
 
 
 def test_encoder_noise_against_a_run():

@@ -232,6 +232,16 @@ def test_bombs_are_not_unpacked(tmp_path):
             read_record(tmp_path / name, max_bytes=1_000_000)
 
 
+def test_a_matlab_array_has_as_many_values_as_its_shape_says(tmp_path):
+    savemat(tmp_path / "a.mat", {"table": np.ones((7, 5))})
+    content = (tmp_path / "a.mat").read_bytes()
+    shape, larger = (np.array(rows_and_columns, dtype="<i4").tobytes() for rows_and_columns in ((7, 5), (8, 5)))
+    assert content.count(shape) == 1
+    (tmp_path / "a.mat").write_bytes(content.replace(shape, larger))
+    with pytest.raises(RecordError, match=r"an array of shape \(8, 5\) has 35 values"):
+        read_record(tmp_path / "a.mat")
+
+
 def test_no_link_leaves_the_file(tmp_path):
     write_h5(tmp_path / "other.mat", 0, u=U)
     with h5py.File(tmp_path / "a.mat", "w") as file:
