@@ -7,6 +7,8 @@ import pytest
 
 from emps_design.errors import AxisError, RecordError
 from emps_design.frequency_response import estimate_response
+from emps_design.frequency_response.distortion import distortion_of
+from emps_design.frequency_response.periodic import Spectra
 from emps_design.frequency_response.response import BAND
 from emps_design.frequency_response.signals import signals_of
 from emps_design.frequency_response.steps import steps_of
@@ -109,6 +111,23 @@ def test_friction_at_rest_is_seen_and_said():
     assert any("dry friction biases the response" in warning for warning in found.warnings)
     assert found.distortion.odd > 0.05
     assert any("odd nonlinear distortion" in warning for warning in found.warnings)
+
+
+def test_distortion_is_what_is_left_at_lines_without_excitation_once_noise_is_taken_off():
+    """A response of 2, noise of 0.01 in position power, and 0.3 of it more at odd lines that were left out."""
+    line = np.arange(1, 80)
+    excited = (line % 2 == 1) & (line % 10 != 5)
+    noise = np.zeros((line.size, 2, 2), dtype=complex)
+    noise[:, 0, 0] = 0.01
+    extra = np.where(line % 2 == 1, 0.3, 0.0)
+    z = np.stack([np.where(excited, 2.0, np.sqrt(extra**2 + 0.01)), excited.astype(float)], axis=1)
+    nothing = np.zeros(line.size)
+    passed = Spectra(line, excited.astype(float), z, noise, 10, 4, excited, nothing, 0.0)
+    found = distortion_of([passed], excited, 0.5, np.full(np.count_nonzero(excited), 2.0))
+    assert found.odd == pytest.approx(0.3 / 2.0)
+    assert found.even == 0.0
+    np.testing.assert_allclose(found.odd_power, 0.15**2)
+    assert found.noise == pytest.approx(np.sqrt(0.01 * 4) / 2.0)
 
 
 def test_a_running_carriage_distorts_nothing():
