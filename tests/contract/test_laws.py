@@ -1,7 +1,9 @@
 """Every control law keeps the contract: words, units, bounds, axis file there and back; and so does a user's own."""
 
+import re
 import subprocess
 import sys
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -91,6 +93,37 @@ def changed(table, path, value):
     if isinstance(table, dict):
         return {**table, key: changed(table[key], rest, value)}
     return [changed(one, rest, value) if i == int(key) else one for i, one in enumerate(table)]
+
+
+def run_as_written(lines, signals, n):
+    """The commands (n,) of a difference equation as it is printed for a drive, run line by line from rest."""
+    series = {name: defaultdict(float, enumerate(values.tolist())) for name, values in signals.items()}
+    for name in re.findall(r"(\w+)\[k", " ".join(lines)):
+        series.setdefault(name, defaultdict(float))
+    program = [re.sub(r"^(.*?)   \((v\[k\] [<>] 0)[^)]*\)$", r"if \2: \1", line) for line in lines]
+    code = compile("\n".join(program), "words", "exec")
+    for k in range(n):
+        exec(code, {**series, "k": k, "sign": np.sign})
+    return np.array([series["u"][k] for k in range(n)])
+
+
+@EVERY
+@pytest.mark.parametrize("estimator", ["two_tap", "backward", *ESTIMATED.values()])
+def test_the_words_run_as_a_program_command_what_the_kernel_does(kind, estimator):
+    axis = axis_with(kind, velocity_estimator=estimator)
+    law, n = law_of(axis, 1e-3), 200
+    t, rng = np.arange(n) * 1e-3, np.random.default_rng(3)
+    q = 0.02 * np.sin(12.0 * t) ** 2 + 1e-5 * np.cumsum(rng.normal(size=n)) * (t > 0.01)
+    signals = {"q": q, "f_ext": 30.0 * np.sin(40.0 * t)}
+    signals["v_ref"] = 0.3 * np.sin(20.0 * t)
+    signals["q_ref"] = q + 4e-4 * np.sin(50.0 * t)
+    limit = axis.drive.command_limit
+    kernel = law.commands(signals["v_ref" if law.follows == "velocity" else "q_ref"], q, limit, signals["f_ext"])
+    kernel = np.clip(kernel, -limit, limit)  # by the drive, where the law leaves that to it
+    assert np.ptp(kernel) > 0.1
+    table = kind.table(**axis.controller.parameters)
+    written = run_as_written(kind.equations(table, axis, 1e-3), signals, n)
+    np.testing.assert_allclose(written, kernel, atol=1e-5)
 
 
 @EVERY

@@ -178,6 +178,14 @@ def test_the_word_of_a_state_may_be_hexadecimal(axis, columns):
     assert set(record.enable) == {0.0, 31.0}
 
 
+def test_a_weight_is_part_of_what_a_motion_needs(axis):
+    """Upwards, slowly: friction and weight are nearly all of the force, and alike."""
+    heavy = axis.replace(mechanics={"offset": axis.mechanics.coulomb})
+    record = synthetic_record(heavy, q_ref=5e-6 * np.arange(4000.0))
+    columns = {"t": 1e3 * record.t, "q": 1e3 * record.q, "q_ref": 1e3 * record.q_ref, "u": record.u}
+    assert not any("force_gain" in note for note in import_bytes(trace(columns), "trace.csv", heavy).warnings)
+
+
 def test_a_missing_tenth_of_a_second_is_named_whether_time_tells_it_or_not(axis, columns):
     moving = int(np.argmax(np.abs(np.diff(columns["q"])))) - 50
     cut = {name: without(values, moving, moving + 100) for name, values in columns.items()}

@@ -19,6 +19,7 @@ from emps_design.observer import (
     observe_online,
     smallest_observable_force,
 )
+from emps_design.observer.actuation import _lagged
 from emps_design.records import Record
 from emps_design.simulation import Plant
 
@@ -321,3 +322,12 @@ def test_a_slow_axis_keeps_its_friction_and_a_slow_clock_its_observers():
         InputError, match=r"`cutoff_hz`: found 12 Hz, expected less than 10 Hz, a tenth of the sampling"
     ):
         observe(record, slow, cutoff_hz=12.0)
+
+
+@pytest.mark.parametrize("constant", [0.4, 2.0, 7.5])
+def test_the_mean_of_a_lagging_command_over_each_period(constant):
+    """A step, and the exponential that follows it, averaged over fine steps of time."""
+    fine = np.linspace(0.0, 1.0, 2001)
+    means = [np.trapezoid(1.0 - np.exp(-(k + fine) / constant), fine) for k in range(20)]
+    step = np.concatenate([[0.0, 0.0], np.ones(20)])
+    np.testing.assert_allclose(_lagged(step, constant), [0.0, 0.0, *means], atol=1e-6)

@@ -6,8 +6,9 @@ import pytest
 from emps_design.identification.controller import best_law as module
 from emps_design.identification.controller.best_law import best_law
 from emps_design.identification.controller.regressors import Signals, Timing, regressors
-from emps_design.identification.controller.search import Spectrum
+from emps_design.identification.controller.search import Spectrum, best_starts, evaluate
 from emps_design.identification.controller.spectra import cross, transform
+from emps_design.identification.controller.structures import PROPORTIONAL
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +33,17 @@ def test_spectra_of_a_slower_position_loop_are_those_summed_anew(signals, timing
     found = spectrum.at(timing)
     np.testing.assert_array_equal(found.regressors, whole.regressors)
     np.testing.assert_array_equal(found.answer, whole.answer)
+
+
+def test_filters_to_start_from_are_the_best_and_apart(signals):
+    spectrum = Spectrum(signals, None)
+    notches, responses = spectrum.starts[1]
+    now = evaluate(spectrum, PROPORTIONAL, Timing(), ())
+    found = best_starts(spectrum, now, notches, responses, 3)
+    places = np.sort([one.filters[0].numbers[0] for one in found])
+    assert [one.cost for one in found] == sorted(one.cost for one in found)
+    assert len(places) == 3
+    assert np.all(np.diff(places) > 0.3)
 
 
 def test_a_law_that_explains_what_is_flat_is_searched_once(signals, monkeypatch):
