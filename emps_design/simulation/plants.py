@@ -49,11 +49,13 @@ def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, se
 
 
 def corners(axis: Axis, spread: float | Mapping[str, float]) -> Plants:
-    """Every combination of the ends of +- ``spread`` (relative), and the axis itself first.
+    """Every combination of the ends of +- ``spread`` (relative), lower ends first, after the axis itself.
 
     >>> from emps_design.machines import machine
-    >>> len(corners(machine("emps2019"), {"mass": 0.02, "coulomb": 0.1}))
-    5
+    >>> axis = machine("emps2019")
+    >>> plants = corners(axis, {"mass": 0.02, "coulomb": 0.1})
+    >>> (plants.baseline[:, 0] / axis.mechanics.mass).round(3).tolist()
+    [1.0, 0.98, 0.98, 1.02, 1.02]
     """
     spreads = _spreads(axis, spread)
     if len(spreads) > 16:

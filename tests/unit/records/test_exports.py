@@ -231,6 +231,12 @@ def test_a_scope_export(comma, end):
     assert same(read(scope(comma, end=end), {**{k: GERMAN[k] for k in ()}, "position": {"column": "ActPos"}}))
 
 
+def test_a_scope_export_without_samples_is_refused():
+    header = scope().split("Unit ScaleFactor")[0]
+    with pytest.raises(RecordError, match="found a header and no samples"):
+        read(header)
+
+
 def test_a_slower_channel_of_a_scope_is_interpolated_and_said():
     record = read(scope(step=4))
     assert len(record) == N - 3  # the reference ends earlier

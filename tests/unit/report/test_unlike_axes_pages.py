@@ -17,7 +17,7 @@ from emps_design.report.assemble import assemble_report
 from emps_design.report.design import design_page, design_results
 from emps_design.report.display import quantity
 from emps_design.report.force_figures import force_limit_figure
-from emps_design.report.impedance import _errata_table
+from emps_design.report.impedance import _errata_table, _interval
 from emps_design.simulation.synthetic import synthetic_record
 from tests.studies import quick
 from tests.unit.unlike_axes import JOINT
@@ -45,6 +45,11 @@ def takers(page: str) -> str:
 
 def with_filters(axis: Axis) -> Axis:
     return axis.replace(controller={"kind": "cascade", "velocity": {"kp": 99.0, "ti": 0.1}, "filters": LOW})
+
+
+def test_an_interval_of_a_share_is_in_percent():
+    assert _interval((0.9123, 1.0)) == " (95 %: 91.23 to 100.00 %)"
+    assert _interval((np.nan, np.nan)) == ""
 
 
 def test_what_takes_phase_is_named_with_the_filters_and_the_effects_of_the_axis(sketched):

@@ -37,7 +37,7 @@ from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
-from emps_design.studio.plots import PlanePlot
+from emps_design.studio.plots import LoopPlots, PlanePlot
 from emps_design.studio.record_work import CLOSEST_MODEL
 from emps_design.studio.simulated import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
@@ -799,3 +799,17 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     assert view.found.axis.controller == exports.designed(session.state).controller
     session.design.turn("frequency", 80.0)
     assert view.found is None
+
+
+def test_poles_outside_the_unit_circle_are_told_from_those_inside():
+    plots = LoopPlots()
+    for crossover, outside in ((100.0, 0), (3000.0, 1)):
+        design = design_velocity_loop(machine("emps2018"), crossover=crossover)
+        plots.update(design, "velocity error")
+        sizes = {
+            key: np.hypot(*(plots.poles[key].data[name] for name in ("re", "im"))) for key in ("inside", "outside")
+        }
+        assert np.all(sizes["inside"] < 1.0)
+        assert np.all(sizes["outside"] >= 1.0)
+        assert len(sizes["inside"]) + len(sizes["outside"]) == len(design.sampled.poles)
+        assert (len(sizes["outside"]) > 0) == outside
