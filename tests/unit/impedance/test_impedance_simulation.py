@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from emps_design.comanipulation import measures as measure_source
 from emps_design.comanipulation.assessment import assess_impedance
 from emps_design.comanipulation.measures import MEASURES, NAMES, measure
 from emps_design.comanipulation.run import run_many, run_task
@@ -22,9 +23,11 @@ from emps_design.control.impedance.sampled import Clock, extended_loop, sampled_
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.environment import Hand
+from emps_design.simulation.kernels import friction_period
 from emps_design.simulation.kernels.compile import cached, pointer
 from emps_design.simulation.kernels.friction_period import BREAKAWAY, REVERSAL, STICK, follow
 from emps_design.simulation.plant import Plant
+from tests.interpreted import interpreted
 
 FRICTION = (100.0, 400.0, 500.0, 20.0, 12.0, 5e-4)  # mass, viscous and Coulomb friction to + and -, current loop
 PERIOD = 1e-3
@@ -45,6 +48,30 @@ def stepped(state, command, external, friction=FRICTION, parts=1):
         events, found = np.zeros((50, 3)), np.array([0, 50])
         state = one_period(tuple(map(float, state)), command, external, PERIOD / parts, friction, events, found)
     return state
+
+
+@pytest.mark.parametrize("lag", [5e-4, 0.0, 0.25, 0.2])
+def test_a_compiled_period_is_what_its_source_says(lag):
+    source, random = interpreted(friction_period), np.random.default_rng(8)
+    friction = (100.0, 400.0, 500.0, 20.0, 12.0, lag)
+    counted = set()
+    for _ in range(300):
+        start = (0.0, 2e-4 * random.choice([0.0, random.standard_normal()]), 40.0 * random.standard_normal())
+        command, push = 60.0 * random.standard_normal(2)
+        kept = [(np.zeros((50, 3)), np.array([0, 50])) for _ in range(2)]
+        compiled = one_period(start, command, push, PERIOD, friction, *kept[0])
+        events, found = kept[1]
+        plain = source["follow"](*start, command, push, PERIOD, friction, 0.0, events.ravel(), found)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-10, atol=1e-15)
+        np.testing.assert_allclose(kept[0][0], events, rtol=1e-9, atol=1e-15)
+        assert kept[0][1][0] == found[0]
+        counted.add(int(found[0]))
+        spans = [source["response"](PERIOD, friction[0], viscous, lag) for viscous in friction[1:3]]
+        shorter = source["advance"](*start, command, push, PERIOD, *spans, friction, 0.0, events.ravel(), found)
+        np.testing.assert_allclose(shorter, plain, rtol=1e-10, atol=1e-15)
+        fine, *end = source["uneventful"](*start, command, push, PERIOD, *spans, friction)
+        assert not fine or np.allclose(end, plain, rtol=1e-10, atol=1e-15)
+    assert counted >= {0, 1}
 
 
 @pytest.mark.parametrize("lag", [5e-4, 0.0, 5e-3, 0.25])
@@ -515,3 +542,10 @@ def test_a_voltage_that_goes_from_limit_to_limit_is_counted():
     measure(still, still, half_waves, np.zeros(n), np.zeros(n), np.ones((300, 4)), 10.0, 1e-3, 300, 500, measures)
     assert measures[NAMES.index("flips")] == 29
     assert measures[NAMES.index("clipped")] == n
+    source, again, random = interpreted(measure_source), np.zeros(MEASURES), np.random.default_rng(5)
+    v = 0.1 * np.sin(np.arange(n + 1) / 40.0) + 0.02 * random.standard_normal(n + 1)
+    signals = (1e-3 * np.cumsum(v), v, 0.6 * half_waves, random.standard_normal(n), random.standard_normal(n))
+    rest = (random.standard_normal((300, 4)), 6.0, 1e-3, 300, 500)
+    measure(*signals, *rest, measures)
+    source["measure"](*signals, *rest, again)
+    np.testing.assert_allclose(measures, again, rtol=1e-9, atol=1e-12)
