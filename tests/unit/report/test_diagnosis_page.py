@@ -1,12 +1,15 @@
 """The page of a diagnosis, from invented data that keeps to the protocol."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from emps_design.cli.diagnose import _show, _window
+from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.report.diagnosis import VERDICTS, diagnosis_page
 from emps_design.report.diagnosis_design import axis_before, design_change
@@ -213,6 +216,57 @@ def test_what_an_unknown_force_of_one_kind_would_leave_stands_beside_what_the_ef
     assert html.index("force error after") < html.index("with the unknown force too") < html.index("noise floor")
     assert "0.457 N" in html
     assert "like an inertia that varies" in html
+
+
+def closest(document):
+    """What a document says of the model that follows most closely."""
+    gap = {"train": {"extended": 0.4}, "holdout": {"extended": 0.35}}
+    text = "the records are followed to 0.35 N with a friction over the travel; it names no cause"
+    return {"text": text, "gap": gap, "gap_inverse_60hz": gap, "model_file": "closest_model.toml"}
+
+
+def test_the_model_that_follows_most_closely_stands_beside_the_named_one(sketched):
+    found = invented()
+    found.document["closest"] = closest(found.document)
+    found.document["simulation"] = "closed loop"
+    html = diagnosis_page(found).html()
+    assert "names no cause" in html
+    assert "closest_model.toml" in html
+    assert "0.35" in html
+
+
+def test_the_terminal_says_what_was_found_what_to_record_and_what_was_written(capsys):
+    shown = document()
+    shown["closest"] = closest(shown)
+    finding = shown["findings"][0]
+    finding["confirmed"] = None
+    _show(shown, Path("found"))
+    text = " ".join(capsys.readouterr().out.split())
+    assert text.startswith("named Below 9 mm/s")
+    for words in (
+        "Stribeck friction", "1.6", "0.42", "0.000", "Next experiment: slow triangles",
+        "Closest model: the records are followed to 0.35 N", "Remedy: Compensate the friction",
+        "Written: found/report.html, model.toml, diagnosis.json, holdout_prediction.csv, experiment.csv, "
+        "closest_model.toml", "emps-design simulate found/model.toml --reference found/experiment.csv",
+    ):  # fmt: skip
+        assert words in text
+    finding["confirmed"] = {"share": 1.02, "std": 0.05}
+    shown["experiment"] = None
+    _show(shown, None)
+    text = " ".join(capsys.readouterr().out.split())
+    assert "confirmed" in text
+    assert "Written" not in text
+    assert "Next experiment" not in text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("5", "found '5', expected START:STOP"), ("5:x", "expected START:STOP"), ("5:4", "a start before the stop")],
+)
+def test_an_interval_that_is_none_is_refused(text, message):
+    with pytest.raises(InputError, match=message):
+        _window(text, "--fit-time")
+    assert _window("0:4.5", "--fit-time") == (0.0, 4.5)
 
 
 def test_what_lost_does_not_come_before_the_answer(sketched):

@@ -10,6 +10,7 @@ from contextlib import closing
 from dataclasses import replace
 from io import BytesIO
 from itertools import combinations
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -35,6 +36,7 @@ from emps_design.studio.app import Session
 from emps_design.studio.compensation_view import DESIGN, OWN
 from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
+from emps_design.studio.exports import figures_zip, report_html
 from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
 from emps_design.studio.jobs import Job
 from emps_design.studio.plots import LoopPlots, PlanePlot
@@ -813,3 +815,30 @@ def test_poles_outside_the_unit_circle_are_told_from_those_inside():
         assert np.all(sizes["outside"] >= 1.0)
         assert len(sizes["inside"]) + len(sizes["outside"]) == len(design.sampled.poles)
         assert (len(sizes["outside"]) > 0) == outside
+
+
+def test_the_report_of_a_state_is_asked_for_what_the_controls_hold(monkeypatch):
+    def asked(axis, **options):
+        page = SimpleNamespace(html=lambda: "a page")
+        requests.append((axis, options))
+        return SimpleNamespace(page=page)
+
+    now, requests = state(phase_margin_deg=55.0, mass=70.0, mismatch_percent=3.0), []
+    monkeypatch.setattr("emps_design.report.assemble.assemble_report", asked)
+    assert report_html(now) == "a page"
+    ((axis, options),) = requests
+    assert axis == now.axis
+    assert (options["phase_margin_deg"], options["mass"]) == (55.0, 70.0)
+    assert options["mismatch"] == pytest.approx(0.03)
+
+
+def test_pictures_of_a_state_are_in_one_archive_with_the_same_bytes_each_time(monkeypatch):
+    run = SimpleNamespace(figures=dict)
+    monkeypatch.setattr("emps_design.studio.simulated.simulate", lambda *_: run)
+    monkeypatch.setattr("emps_design.report.style.svg", lambda figure, key="": f"<svg>{key}</svg>")
+    first, second = (figures_zip(state(), "svg") for _ in range(2))
+    assert first == second
+    with zipfile.ZipFile(BytesIO(first)) as archive:
+        names = archive.namelist()
+        assert {"block_diagram.svg", "force_limit.svg", "force_loop.svg"} < set(names)
+        assert archive.read("force_loop.svg") == b"<svg>force_loop</svg>"
