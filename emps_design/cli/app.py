@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, get_type_hints
 
+from emps_design import __version__
 from emps_design.cli import interrupts
 from emps_design.cli.advice import advice_on_error
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
@@ -21,28 +22,41 @@ from emps_design.errors import EmpsError, InputError, SimulationError, Specifica
 if TYPE_CHECKING:
     import typer
 
-# Commands in the order of the work: record, axis, gains, simulation, what disagrees, page.
-COMMANDS = (
-    "gains",
-    "margins",
-    "force",
-    "impedance",
-    "simulate",
-    "identify",
-    "observe",
-    "excite",
-    "frf",
-    "law",
-    "diagnose",
-    "compensate",
-    "export",
-    "derive",
-    "report",
-    "studio",
-    "demo",
-    "init",
-    "import",
-)
+# Commands in the order of the work, each with the sentence that the help of all commands says of it.
+GROUPS = {
+    "Start": {
+        "demo": "Run the main job on the embedded machine; no file is needed.",
+        "init": "Make a folder with an axis file and records to start from.",
+        "import": "Read a drive's export and say what each column is taken for.",
+    },
+    "Learn from records": {
+        "identify": "Identify mass, friction and constant force from records.",
+        "law": "Find the controller that made a record, and its gains.",
+        "observe": "Observe the external force that acted during a record.",
+        "excite": "Make the experiment that measures a frequency response.",
+        "frf": "Estimate the response from force to velocity from records.",
+    },
+    "Design": {
+        "gains": "Derive velocity-loop gains from bandwidth and phase margin.",
+        "margins": "Say what the controller in the axis file achieves.",
+        "force": "Check the force loop around the velocity loop, in contact.",
+        "impedance": "Judge an impedance law that needs no force sensor.",
+        "derive": "Derive the paper's equations and show its misprints.",
+    },
+    "Simulate and compare": {
+        "simulate": "Simulate the nonlinear axis along a record or a reference.",
+        "diagnose": "Name the physics that the model lacks, and add it.",
+    },
+    "Bring to the machine": {
+        "compensate": "Find the feed-forward of all that the model knows.",
+        "export": "Write the controller as C, Structured Text, FMU or JSON.",
+    },
+    "Show": {
+        "report": "Write the whole design as one page.",
+        "studio": "Design in the browser, served on 127.0.0.1 only.",
+    },
+}
+COMMANDS = tuple(name for group in GROUPS.values() for name in group)
 BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
 TURNING = "Units are those of a linear axis. For one that turns read kg m^2 for kg, N m for N and rad for m."
 
@@ -124,16 +138,38 @@ def _print_nowhere() -> None:
 def _application(arguments: list[str]) -> typer.Typer:
     """The Typer application. Only the module of the command that runs is imported, unless help is asked for."""
     import typer
+    from typer.core import TyperGroup
+
+    def say_version(asked: bool) -> None:
+        if asked:
+            typer.echo(f"emps-design {__version__}")
+            raise typer.Exit
+
+    def root(
+        version: bool = typer.Option(
+            False, "--version", is_eager=True, callback=say_version, help="Show the version and exit."
+        ),
+    ) -> None:
+        pass
+
+    class Grouped(TyperGroup):
+        """Commands in the order of the work."""
+
+        def format_commands(self, ctx: Any, formatter: Any) -> None:
+            for title, commands in GROUPS.items():
+                with formatter.section(title):
+                    formatter.write_dl(list(commands.items()))
 
     app = typer.Typer(
         name="emps-design",
+        cls=Grouped,
         help="From a measured record of a one-axis drive to gains, a report, and the physics the model lacks.",
         add_completion=False,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
-    app.callback()(_root)
+    app.callback()(root)
     wanted = arguments[0] if arguments else ""
     for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = importlib.import_module(f"emps_design.cli.{name}")
@@ -159,7 +195,3 @@ def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]
     described.__signature__ = inspect.Signature([*own, added])
     described.__annotations__ = {**hints, "debug": bool}
     return described
-
-
-def _root() -> None:
-    """From a measured record of a one-axis drive to gains, a report, and the physics the model lacks."""

@@ -5,14 +5,19 @@ import os
 import signal
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from emps_design import __version__
 from emps_design.cli import app
 from emps_design.cli.output import plain, print_warnings, progress_bar
 from emps_design.errors import InputError, SpecificationError, UnstableError
 from emps_design.files import write_aside, write_text
+
+REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 def run_raising(monkeypatch, error, *arguments):
@@ -73,6 +78,23 @@ def test_help_lists_every_command(capsys, arguments):
     assert app.run(arguments) == 0
     text = capsys.readouterr().out
     assert all(command in text for command in app.COMMANDS)
+
+
+def test_help_says_a_whole_sentence_of_every_command_within_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert app.run(["--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    for group in app.GROUPS.values():
+        for name, sentence in group.items():
+            assert any(line.split() == [name, *sentence.split()] for line in lines), name
+            assert sentence.endswith(".")
+
+
+def test_the_version(capsys):
+    assert app.run(["--version"]) == 0
+    assert capsys.readouterr().out == f"emps-design {__version__}\n"
+    assert tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["version"] == __version__
 
 
 def test_plain_data():
