@@ -27,6 +27,7 @@ BLOCK = 32  # samples over which what alternates is averaged
 FITS = 0.35  # of the command, that the inverse model may leave where it is to say something
 BLOCKS = 12
 EXPLAINED = 0.5  # of what one model of the whole record leaves, that a model for either part of it leaves
+BRAKES = 0.1  # of the power that speeds up and slows down, that either has where both are seen
 GAIN, SAME = 1.35, 1.5  # times, by which the command changes at once; within which mass and friction change alike
 SHIFTS = 0.08, 40  # s to either side, and in so many steps, by which the command is moved
 LATE, FEWEST_LATE = 0.015, 8  # s, and samples
@@ -132,11 +133,17 @@ def _exchanged(axis: Axis, record: Record) -> Iterator[str]:
 
 
 def _gain(record: Record) -> Iterator[str]:
-    """Whether the command that the same motion takes changes half-way, mass and friction alike."""
+    """Whether the command that the same motion takes changes half-way, mass and friction alike.
+
+    Both parts have to speed up and to slow down: else they have no motion in common, and friction that depends on the
+    torque, or is another in the other direction, looks like a gain.
+    """
     columns, u = motion_columns(record, record.q)
     whole = _fit(columns, u)[1]
-    found = []
+    found = [(np.inf, 0, np.zeros(2), np.zeros(2))]
     for cut in np.linspace(0, u.size, BLOCKS + 1).astype(int)[2:-2].tolist():
+        if not (_speeds_up_and_slows_down(columns[:cut]) and _speeds_up_and_slows_down(columns[cut:])):
+            continue
         (before, one), (after, other) = _fit(columns[:cut], u[:cut]), _fit(columns[cut:], u[cut:])
         found.append((one + other, cut, before, after))
     left, cut, before, after = min(found, key=lambda one: one[0])
@@ -152,6 +159,12 @@ def _gain(record: Record) -> Iterator[str]:
         f"u: from about {record.t[cut]:.3g} s on the same motion takes {times:.3g} times the command, mass and "
         "friction alike: its gain or its unit changes there"
     )
+
+
+def _speeds_up_and_slows_down(columns: np.ndarray) -> bool:
+    power = columns[:, 0] * columns[:, 1]
+    faster, slower = float(np.sum(power[power > 0.0])), -float(np.sum(power[power < 0.0]))
+    return min(faster, slower) > BRAKES * (faster + slower)
 
 
 def _fit(columns: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float]:

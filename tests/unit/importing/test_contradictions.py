@@ -216,3 +216,16 @@ def test_the_embedded_machine_reads_its_own_records():
     axis = machine("emps2019")
     record = synthetic_record(axis, laps=1, stroke=0.1)
     assert with_contradictions(axis, record) is record
+
+
+def test_a_part_that_only_speeds_up_and_one_that_only_brakes_have_no_gain_to_compare():
+    period, rest = 1e-3, np.zeros(100)
+    a = np.concatenate([rest, np.full(300, 10.0), np.zeros(60), np.full(100, -30.0), rest])
+    v = period * np.cumsum(a)
+    v[np.abs(v) < 1e-9] = 0.0
+    loaded = np.where(a > 0.0, 2.0, 1.0)  # friction of a gear that grows with the torque
+    u = 0.1 * a + np.sign(v) * loaded + 0.01 * np.random.default_rng(5).standard_normal(a.size)
+    q = period * np.cumsum(v)
+    axis = Axis.from_dict({**STAGE.to_dict(), "controller": UNKNOWN})
+    record = Record.from_arrays(period, q, q, u, layout=Layout(units=STAGE.units))
+    assert with_contradictions(axis, record).contradictions == ()
