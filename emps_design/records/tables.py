@@ -185,7 +185,10 @@ def _blocks(lines: Iterator[str], row: int) -> Iterator[tuple[int, list[str]]]:
 def _parse(
     rows: list[str], delimiter: str, wanted: list[int], titles: list[str], source: str, first_row: int
 ) -> np.ndarray:
-    """Numbers of the ``wanted`` columns, shape (rows, wanted); the slow way is for naming the cell that is wrong."""
+    """Numbers of the ``wanted`` columns, shape (rows, wanted), NaN for an empty cell.
+
+    The slow way is for empty cells, and for naming the cell that is wrong.
+    """
     between = None if delimiter == SPACE else delimiter
     longer = max(len(row.split()) - 1 if between is None else row.count(between) for row in rows) >= len(titles)
     if not longer and not any('"' in row or is_comment(row) or not row.strip() for row in rows):
@@ -205,11 +208,11 @@ def _parse(
             )
         for k, column in enumerate(wanted):
             cell = cells[column] if column < len(cells) else ""
-            value = number(cell)
+            value = number(cell) if cell.strip() else np.nan  # refused where it is not cut off
             if value is None:
-                found = repr(cell.strip()[:40]) if cell.strip() else "nothing"
                 raise RecordError(
-                    f"{source}: row {first_row + i}, column {titles[column]!r}: found {found}, expected a number"
+                    f"{source}: row {first_row + i}, column {titles[column]!r}: found {cell.strip()[:40]!r}, expected "
+                    "a number"
                 )
             table[filled, k] = value
         filled += 1

@@ -405,15 +405,17 @@ def test_a_reference_that_is_constant_is_none_where_no_controller_needs_one():
     assert read(text, units=Units()).q_ref_recorded
 
 
-@pytest.mark.parametrize("suffix", ["csv", "npz"])
+@pytest.mark.parametrize("suffix", ["csv", "npz", "csv with empty cells"])
 def test_what_is_missing_outside_the_part_does_not_matter(tmp_path, suffix):
     q, late = Q.copy(), np.interp(T - 0.05, T, U)
     q[:6], q[-3:] = np.nan, np.nan
-    path, table = tmp_path / f"a.{suffix}", {"t": T, "q": q, "q_ref": Q_REF, "u": late, "angle": (3e3 * Q) % 360}
+    path, table = tmp_path / f"a.{suffix[:3]}", {"t": T, "q": q, "q_ref": Q_REF, "u": late, "angle": (3e3 * Q) % 360}
     if suffix == "npz":
         np.savez(path, **table)
     else:
         np.savetxt(path, np.column_stack(list(table.values())), header=" ".join(table), fmt="%.9g")
+    if "empty" in suffix:
+        path.write_text(path.read_text().replace(" ", ",").replace("nan", "").replace("#,", ""))
     columns = {"command": {"column": "u", "delay": 0.05}}
     record = read_record(path, layout=layout(columns, PLAIN.units, window=(0.1, 0.3)))
     np.testing.assert_allclose(record.q, Q[100:301], atol=1e-7)
