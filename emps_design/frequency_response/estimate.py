@@ -287,7 +287,7 @@ def _finished(
         left_out,
         axis,
         (
-            *(text for record in records for text in record.contradictions),
+            *(text for record in records for text in (*record.contradictions, *record.gaps_in_words)),
             *_words(found, extra, reversals, rest, seconds, left_out),
         ),
     )

@@ -7,7 +7,7 @@ in what is used are counted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,8 +66,8 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
 
     ``instrument`` is ``excitation``, ``reference`` or ``command``, by default the first of the first two that the
     record has. The command is none, since feedback is in it: it gives the ratio of spectra. Stretches in which the
-    motor is switched off throughout are left out. Raises :class:`RecordError` where there is no instrument, and where
-    the motor is off in all stretches.
+    motor is switched off throughout are left out, and what is in a gap. Raises :class:`RecordError` where there is no
+    instrument, and where the motor is off in all stretches, or gaps are everywhere.
     """
     excitation, bias = record.excitation, _reference_increments(record)
     if not instrument:
@@ -91,6 +91,13 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
     runs = [(one.start, one.stop) for one in steps] or _stretches(r, bias, repeats, instrument)
     if repeats and not runs:  # once on each pass: nothing is periodic in that
         repeats, runs = 0, _stretches(r, bias, 0, instrument)
+    if len(record.pieces) > 1:
+        runs, steps = _within(runs, steps, record.pieces, 2 * repeats or FEWEST)
+        if not runs:
+            raise RecordError(
+                f"{record.name}: found no stretch between its gaps that is long enough for the {instrument}, expected "
+                f"{'two whole periods' if repeats or steps else f'{FEWEST} samples'}"
+            )
     if record.enable is not None:
         on = [bool(np.any(record.enable[start:stop])) for start, stop in runs]
         if runs and not any(on):
@@ -179,6 +186,26 @@ def _stretches(r: np.ndarray, bias: np.ndarray, repeats: int, kind: str) -> list
         if sum(b - a for a, b in runs) > 0.3 * (last - first):
             return runs
     return [(first, last)]
+
+
+def _within(
+    runs: list[tuple[int, int]], steps: tuple[Step, ...], pieces: list[tuple[int, int]], shortest: int
+) -> tuple[list[tuple[int, int]], tuple[Step, ...]]:
+    """What of ``runs``, or of the ``steps`` that they are, lies within ``pieces`` and is not too short [samples].
+
+    The first increment of a piece but the first comes out of a gap.
+
+    >>> _within([(0, 50), (60, 90)], (), [(0, 20), (30, 80)], 19)
+    ([(0, 20), (31, 50), (60, 80)], ())
+    """
+    of_steps = [2 * step.samples for step in steps] or [shortest] * len(runs)
+    cut = [
+        (place, max(a, start + (start > 0)), min(b, stop))
+        for place, (a, b) in enumerate(runs)
+        for start, stop in pieces
+    ]
+    long = [(place, a, b) for place, a, b in cut if b - a >= of_steps[place]]
+    return [(a, b) for _, a, b in long], tuple(replace(steps[i], start=a, stop=b) for i, a, b in long if steps)
 
 
 def motion(signals: Signals) -> dict[str, float]:

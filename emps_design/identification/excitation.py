@@ -9,7 +9,6 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.records import Record
-from emps_design.stretches import stretches
 
 REFUSE, KNOWN = "refuse", "known"  # what is done with a record in which an external force was measured
 SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
@@ -85,8 +84,7 @@ def reverses(q: np.ndarray, share: float = 0.02) -> bool:
 
 def goes_one_way(record: Record) -> bool:
     """Whether no piece of ``record`` reverses and all go the same way: then Coulomb and a constant force are one."""
-    there = np.ones(len(record), bool) if record.bridged is None else record.bridged == 0.0
-    pieces = [record.q[start:stop] for start, stop in stretches(there) if stop - start > 1]
+    pieces = [record.q[start:stop] for start, stop in record.pieces if stop - start > 1]
     pieces = [q for q in pieces if np.ptp(q) >= 0.02 * max(np.ptp(piece) for piece in pieces)]
     return not any(map(reverses, pieces)) and len({bool(q[-1] > q[0]) for q in pieces}) < 2
 

@@ -51,8 +51,9 @@ class MethodResult:
     """One method on one record: ``force`` (n,) [N], its ``delay`` [s] as designed, and how it did.
 
     ``force`` is NaN outside ``reliable``, from and to [s]: a zero-phase filter makes up what lies beyond both ends, and
-    an on-line observer starts as if at rest. Errors count from and to ``judged`` [s]: ``rms_error`` [N] is against the
-    force at the same moment, ``rms_error_aligned`` [N] against that of ``delay`` ago.
+    an on-line observer starts as if at rest. So it is at the ends of each piece of a record with gaps. Errors count
+    from and to ``judged`` [s]: ``rms_error`` [N] is against the force at the same moment, ``rms_error_aligned`` [N]
+    against that of ``delay`` ago.
     """
 
     force: np.ndarray = field(repr=False)
@@ -248,21 +249,28 @@ def _judge(
     parameter: float,
     settings: dict[str, float],
 ) -> MethodResult:
-    """Judge ``force`` (n,) [N], which is not reliable for ``ends`` [s] of the record's start and end."""
+    """Judge ``force`` (n,) [N], which is not reliable for ``ends`` [s] of the start and end of each piece."""
     n, period = len(record), record.period
     first, last = (math.ceil(end / period) for end in ends)
-    force[:first], force[n - last :] = np.nan, np.nan
     start = max(int(SETTLED / period), first, last)
-    inner = slice(start, n - start)
-    truth, rms, aligned, steps, error = record.f_ext, None, None, None, force[inner]
+    known, inner = np.zeros((2, n), bool)
+    for begin, end in record.pieces:
+        known[begin + first : max(begin, end - last)] = inner[begin + start : max(begin, end - start)] = True
+    if not inner.any():
+        raise RecordError(
+            f"{record.name}: no piece between its gaps is {2 * start * period:.3g} s long, expected one to observe in"
+        )
+    force[~known] = np.nan
+    truth, rms, aligned, steps, error = record.f_ext, None, None, None, np.where(inner, force, np.nan)
     if truth is not None:
-        error = error - truth[inner]
-        rms = float(np.sqrt(np.mean(error**2)))
-        late = np.interp(record.t[inner] - delay, record.t, truth)
-        aligned = float(np.sqrt(np.mean((force[inner] - late) ** 2)))
+        error = error - truth
+        rms = float(np.sqrt(np.mean(error[inner] ** 2)))
+        late = np.interp(record.t - delay, record.t, truth)
+        aligned = float(np.sqrt(np.mean((force - late)[inner] ** 2)))
         steps = step_answer(force, truth, period, inner)
     # Noise is what is quick in the error: a median keeps reversals and edges, which are few, out of it.
-    quick = np.diff(error[:: max(1, int(NOISE_STEP / period))])
+    quick = np.diff(error[start :: max(1, int(NOISE_STEP / period))])
+    quick = quick[np.isfinite(quick)]
     noise = 1.96 * 1.4826 * float(np.median(np.abs(quick))) / np.sqrt(2.0)
     return MethodResult(
         force=force,

@@ -60,9 +60,7 @@ def at_rest(record: Record) -> np.ndarray:
         v = central_difference(low_pass(record.q, quiet, record.period), record.period)
     rest = (v < slow) & (v > -slow)
     rest[1:] |= (v[1:] > 0) != (v[:-1] > 0)  # a reversal may pass between two samples
-    if record.bridged is not None:
-        rest |= record.bridged > 0.0
-    return rest
+    return rest | record.in_gap
 
 
 def known(record: Record, a: np.ndarray, cutoff_hz: float) -> np.ndarray:
@@ -72,7 +70,7 @@ def known(record: Record, a: np.ndarray, cutoff_hz: float) -> np.ndarray:
     continues: unlike a jump of friction, all of the force is wrong there, and seen from further away.
     """
     n = len(record)
-    made_up = np.zeros(n, bool) if record.bridged is None else record.bridged > 0.0
+    made_up = record.in_gap
     inside = min(int(1.0 / (cutoff_hz * record.period)), n - 1)  # where the reflection leaves the acceleration alone
     felt = ACCELERATES * float(np.sqrt(np.mean(a**2)))
     made_up[0] |= abs(a[inside]) > felt

@@ -30,7 +30,7 @@ class Steps:
         return dict(self.__dict__)
 
 
-def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slice) -> Steps | None:
+def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slice | np.ndarray) -> Steps | None:
     """Answer of ``force`` (n,) [N] to the steps of a square wave ``truth`` (n,) [N]; None where that has no steps.
 
     ``inner`` are the samples that count: away from edges some must be at either height.

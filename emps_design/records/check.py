@@ -13,6 +13,7 @@ from emps_design.records.columns import OPTIONAL
 from emps_design.records.jumps import no_jump, nothing_lost, unwrap
 from emps_design.records.layout import LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
 from emps_design.records.mapping import KEYS
+from emps_design.stretches import stretches
 
 PLAIN = Layout()  # what a record is without an axis: metres and volts, by the names of the contract
 SHORTEST = 50  # samples; less than this says nothing about an axis
@@ -90,6 +91,8 @@ def checked(
         named = resampled.signals
         n = named["t"].size
         _fits(n, source, LONGEST)
+    elif (count := len(stretches(named.get("bridged", named["t"]) <= 0.0))) > 1:
+        notes.append(f"t: {count} pieces; what lies between takes no part")
     period = period or found
     recorded, stood_in = _stand_ins(named, period, layout)
     notes += stood_in

@@ -15,6 +15,7 @@ from emps_design.notebook import table
 from emps_design.records.check import PLAIN, checked
 from emps_design.records.columns import OPTIONAL, RECORD
 from emps_design.records.layout import MAPPED, Assignment, Layout
+from emps_design.stretches import stretches
 
 MEASURED = "measured."  # before the names, in an archive, of what was resampled, at its own times
 
@@ -100,6 +101,27 @@ class Record:
     def has_reference(self) -> bool:
         """Whether what the controller followed was recorded."""
         return self.q_ref_recorded or self.velocity_reference is not None
+
+    @property
+    def in_gap(self) -> np.ndarray:
+        """Where nothing was recorded, (n,) of bool."""
+        return np.zeros(len(self), bool) if self.bridged is None else self.bridged > 0.0
+
+    @property
+    def pieces(self) -> list[tuple[int, int]]:
+        """First sample and the one after the last of each piece that was recorded: one of a record without gaps.
+
+        >>> ramp = np.arange(60.0)
+        >>> Record.from_arrays(0.01, ramp, ramp, np.sin(ramp), bridged=(ramp > 9) & (ramp < 20)).pieces
+        [(0, 10), (20, 60)]
+        """
+        return stretches(~self.in_gap)
+
+    @property
+    def gaps_in_words(self) -> tuple[str, ...]:
+        """That the record is taken as its pieces, where it has gaps: what every command says of it that uses them."""
+        count = len(self.pieces)
+        return (f"{self.name}: taken as {count} pieces, what lies between takes no part",) if count > 1 else ()
 
     @property
     def columns(self) -> dict[str, np.ndarray]:

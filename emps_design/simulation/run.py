@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,19 @@ class Run:
     energy: dict[str, float] | None = None
     name: str = "simulation"
     excitation: np.ndarray | None = None
+
+    @classmethod
+    def joined(cls, runs: Sequence[Run]) -> Run:
+        """``runs`` of one axis one after the other, without what they have no sum of: their energy."""
+        first, *others = runs
+        if not others:
+            return first
+        signals = {name: np.concatenate([getattr(one, name) for one in runs]) for name in STORED}
+        gain = np.concatenate([np.broadcast_to(one.force_gain, len(one)) for one in runs])
+        events, lost = np.concatenate([one.events for one in runs]), sum(one.lost_events for one in runs)
+        starts = first.period * np.cumsum([0, *map(len, runs)][:-1])
+        events[:, 0] += np.repeat(starts, [len(one.events) for one in runs])
+        return replace(first, **signals, events=events, force_gain=gain, lost_events=lost, energy=None)
 
     @property
     def signals(self) -> dict[str, np.ndarray]:

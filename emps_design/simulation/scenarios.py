@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,16 +23,22 @@ from emps_design.simulation.run import EVENTS, Run
 from emps_design.simulation.trajectories import force_ramp
 
 ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
-DROPPED = 50  # samples left out of the relative errors, as in the report of the data set
+DROPPED = 50  # samples left out of the relative errors, as in the report of the data set, and behind each gap
+SPAN = 8  # samples over which the velocity behind a gap is taken
+NEIGHBOURS = 2  # samples to either side that an acceleration is of
 
 
-def relative_error_percent(measured: np.ndarray, simulated: np.ndarray) -> float:
-    """100 |measured - simulated| / |measured|, Euclidean norms, without the first 50 samples; NaN where undefined.
+def relative_error_percent(
+    measured: np.ndarray, simulated: np.ndarray, part: slice | np.ndarray = slice(DROPPED, None)
+) -> float:
+    """100 |measured - simulated| / |measured|, Euclidean norms over a ``part``; NaN where undefined.
+
+    Without the first 50 samples by default.
 
     >>> relative_error_percent(np.full(60, 2.0), np.full(60, 1.9))
     5.000000000000004
     """
-    measured, difference = measured[DROPPED:], (measured - simulated)[DROPPED:]
+    measured, difference = measured[part], (measured - simulated)[part]
     scale = float(np.linalg.norm(measured))
     return 100.0 * float(np.linalg.norm(difference)) / scale if scale > 0 else float("nan")
 
@@ -42,7 +49,7 @@ class Replay:
 
     ``relative_error_percent`` has position, velocity, acceleration (central differences of the positions) and force
     (of the voltage that reaches the drive, so a computation delay shifts the simulated one). ``mean_absolute_error`` is
-    over all samples [SI].
+    over all samples [SI]. What is in a gap of the record does not count, nor the first samples behind it.
     """
 
     axis: Axis
@@ -87,13 +94,16 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     """Simulate ``axis`` along ``record`` and compare.
 
     With a controller the loop is closed on ``record.q_ref``; without one the recorded voltage drives the plant. The
-    carriage starts at rest at the record's first position. Raises :class:`InputError` when the record is too short or
-    its period is not the axis's, :class:`UnstableError` where the closed loop diverges, with the nearest that does not,
-    and :class:`SimulationError` where a simulation in open loop cannot go on.
+    carriage starts at rest at the record's first position. Behind a gap of the record a controller brings the carriage
+    back; without one it starts anew, at the position and the velocity that were measured there. Raises
+    :class:`InputError` when the record is too short or its period is not the axis's, :class:`UnstableError` where the
+    closed loop diverges, with the nearest that does not, and :class:`SimulationError` where a simulation in open loop
+    cannot go on.
     """
-    if len(record) <= DROPPED + 2:
+    settled, there = _compared(record)
+    if len(record) <= DROPPED + 2 or not settled.any():
         raise InputError(f"{record.name}: found {len(record)} samples, expected more than {DROPPED + 2} to compare")
-    warnings = list(record.contradictions)
+    warnings = [*record.contradictions, *record.gaps_in_words]
     period = axis.sampling.period
     if abs(record.period / period - 1.0) > 1e-3:
         raise InputError(
@@ -109,10 +119,7 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
         how = {"period": record.period, "quantise": quantise}
         run = _closed_loop(axis, lambda axis: {**driven_by(axis, record), **how})
     else:
-        run = Plant.of(axis).open_loop(
-            record.u, push, float(record.q[0]), period=record.period, quantise=quantise, supply=record.supply,
-            enable=record.enable,
-        )  # fmt: skip
+        run = _open_loop(axis, record, quantise)
         warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
     pairs = {
         "position": (record.q, run.q),
@@ -120,10 +127,32 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
         "acceleration": tuple(np.gradient(np.gradient(q, record.period), record.period) for q in (record.q, run.q)),
         "force": (motor_force(axis, record), run.force),
     }
-    relative = {name: relative_error_percent(*pair) for name, pair in pairs.items()}
-    absolute = {name: float(np.mean(np.abs(pairs[name][0] - pairs[name][1]))) for name in ABSOLUTE}
-    rms = {name: float(np.sqrt(np.mean((a - b)[DROPPED:] ** 2))) for name, (a, b) in pairs.items()}
+    relative = {name: relative_error_percent(*pair, settled) for name, pair in pairs.items()}
+    absolute = {name: float(np.mean(np.abs(pairs[name][0] - pairs[name][1])[there])) for name in ABSOLUTE}
+    rms = {name: float(np.sqrt(np.mean((a - b)[settled] ** 2))) for name, (a, b) in pairs.items()}
     return Replay(axis, record, run, closed, relative, rms, absolute, tuple(warnings))
+
+
+def _open_loop(axis: Axis, record: Record, quantise: bool) -> Run:
+    """The pieces of ``record``, each up to the next, in open loop."""
+    plant, n = Plant.of(axis), len(record)
+    starts = [start for start, _ in record.pieces]
+    starts[0] = 0
+    runs = []
+    for start, stop in pairwise([*starts, n]):
+        part = record.part(start, stop)
+        v0 = float(part.q[SPAN] - part.q[0]) / (SPAN * part.period) if start and len(part) > SPAN else 0.0
+        how = {"period": part.period, "quantise": quantise, "supply": part.supply, "enable": part.enable}
+        runs.append(plant.open_loop(part.u, part.f_ext, float(part.q[0]), v0, **how))
+    return Run.joined(runs)
+
+
+def _compared(record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Samples (n,) of bool that count in relative errors, settled and with neighbours, and all that were recorded."""
+    settled, n = np.zeros(len(record), bool), len(record)
+    for start, stop in record.pieces:
+        settled[start + DROPPED : stop if stop == n else max(start, stop - NEIGHBOURS)] = True
+    return settled, ~record.in_gap
 
 
 @dataclass(frozen=True)

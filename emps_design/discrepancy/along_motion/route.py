@@ -121,5 +121,4 @@ def _of_records(records: tuple[Record, ...]) -> list[str]:
 
 def _only(record: Record, inside: np.ndarray) -> Record:
     """``record`` of which only the samples ``inside`` (n,) bool take part."""
-    gaps = np.zeros(len(record)) if record.bridged is None else record.bridged
-    return replace(record, bridged=np.where(inside, gaps, 1.0))
+    return replace(record, bridged=np.where(inside, record.in_gap, 1.0))

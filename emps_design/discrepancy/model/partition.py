@@ -48,8 +48,8 @@ def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, 
     n = len(record)
     allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
     allowed[:START_UP] = False
-    if record.bridged is not None:  # nor behind a gap, in which the model went its own way
-        allowed &= np.convolve(record.bridged > 0.0, np.ones(2 * START_UP + 1), "same") < 0.5
+    # Nor behind a gap, in which the model went its own way.
+    allowed &= np.convolve(record.in_gap, np.ones(2 * START_UP + 1), "same") < 0.5
     strokes = find_strokes(record.q_ref, record.period)
     if parts > 1:
         strokes = tuple(part for start, stop in strokes for part in _parts(record.q, start, stop, parts))

@@ -12,6 +12,7 @@ from emps_design.frequency_response.response import BAND
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation.synthetic import synthetic_record
+from tests.unit.records.with_gaps import as_one, lost
 
 OPEN = {"kind": "none"}
 
@@ -54,6 +55,34 @@ def test_what_interpolation_misses_of_a_sweep_is_in_the_deviations(mass, time_co
     assert np.mean(ratio <= BAND) >= 0.95
     assert np.sqrt(np.mean(ratio**2)) < 1.2
     assert found.resonances == ()
+
+
+def test_a_record_with_gaps_is_taken_as_its_pieces():
+    axis = rigid(0.72, 0.72 / 8.4, 2e-3)
+    record = lost(driven(axis, np.random.default_rng(2).standard_normal(12000)), 4000, 4600)
+    found, bridged = (estimate_response(one, axis) for one in (record, as_one(record)))
+    assert np.mean(errors(found, axis) <= BAND) >= 0.95
+    assert np.median(bridged.response.std) > 2.0 * np.median(found.response.std)
+    assert found.warnings[0] == "open: taken as 2 pieces, what lies between takes no part"
+    assert found.seconds == pytest.approx(22.8, abs=0.01)
+
+
+def test_a_step_with_a_gap_is_the_longer_part_of_it():
+    axis = rigid(0.72, 0.72 / 8.4, 1e-3)
+    t = np.arange(4000) * 1e-3
+    records = [driven(axis, 2.5 * np.sin(2.0 * np.pi * f * t)) for f in (1.0, 3.0, 5.0, 8.0, 16.0)]
+    found = estimate_response([*records[:3], lost(records[3], 2000, 2030), records[4]], axis)
+    assert found.method == "stepped"
+    assert found.response.frequency == pytest.approx([1.0, 3.0, 5.0, 8.0, 16.0])
+    assert np.all(errors(found, axis) < 3.0)
+
+
+def test_pieces_that_are_too_short_are_refused():
+    axis = rigid(0.72, 0.72 / 8.4, 1e-3)
+    record = driven(axis, np.random.default_rng(3).standard_normal(4000))
+    short = replace(record, bridged=(np.arange(4000) % 60 == 0).astype(float))
+    with pytest.raises(RecordError, match="no stretch between its gaps that is long enough for the excitation"):
+        estimate_response(short, axis)
 
 
 @pytest.mark.parametrize("step", [0.0, 1e-4])

@@ -22,6 +22,7 @@ from emps_design.observer import (
 from emps_design.observer.actuation import _lagged
 from emps_design.records import Record
 from emps_design.simulation import Plant
+from tests.unit.records.with_gaps import as_one, lost
 
 AXIS = machine("emps2019")
 PERIOD = 1e-3
@@ -251,6 +252,17 @@ def test_no_number_where_an_observer_cannot_know(pushed):
         assert np.sqrt(np.mean(early**2)) < 3.0 + 3.0 * result.steps.rms_error_away_from_edges
     with pytest.raises(RecordError, match=r"4 s long, expected at least 5\.\d+ s to observe with these cut-offs"):
         observe(pushed.part(0, 4000), AXIS, offline_cutoff_hz=1.5)
+
+
+def test_a_record_with_gaps_is_observed_in_its_pieces(pushed):
+    record = lost(pushed, 1500, 1900)
+    found, bridged, whole = (observe(one, AXIS).methods for one in (record, as_one(record), pushed))
+    for name, result in found.items():
+        assert np.all(np.isnan(result.force[1500:1900]))
+        assert np.all(np.isfinite(result.force[2200:3500]))
+        assert result.rms_error < 1.2 * whole[name].rms_error < bridged[name].rms_error
+    with pytest.raises(RecordError, match=r"no piece between its gaps is 0\.\d+ s long"):
+        observe(replace(pushed, bridged=(np.arange(4000) % 200 < 11).astype(float)), AXIS)
 
 
 def test_long_work_says_how_far_it_is(pushed):

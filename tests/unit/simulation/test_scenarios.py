@@ -14,6 +14,7 @@ from emps_design.simulation import Plant, Run, breakaway, replay, trapezoid_laps
 from emps_design.simulation import trajectories as programs
 from emps_design.simulation.reference_file import read_reference
 from emps_design.simulation.scenarios import follow
+from tests.unit.records.with_gaps import as_one, lost
 
 AXIS = machine("emps2019")
 Q_REF = 0.05 * np.sin(2 * np.pi * 0.6 * np.arange(1500) * 1e-3) ** 2
@@ -55,6 +56,19 @@ def test_replay_without_a_controller_is_open_loop():
     assert not found.closed_loop
     assert found.relative_error_percent["position"] < 1e-3
     assert "open loop" in found.warnings[0]
+
+
+@pytest.mark.parametrize(("kind", "share"), [("position_pd", 0.7), ("none", 0.2)])
+def test_replay_takes_a_record_with_gaps_as_its_pieces(kind, share):
+    axis = AXIS.replace(controller={"kind": kind})
+    record = lost(Plant.of(AXIS).closed_loop(Q_REF).record(), 500, 800)
+    found, bridged = replay(axis, record), replay(axis, as_one(record))
+    for name in ("position", "velocity", "acceleration"):
+        assert found.relative_error_percent[name] < share * bridged.relative_error_percent[name]
+        assert found.rms_error[name] < share * bridged.rms_error[name]
+    assert "emps2019: taken as 2 pieces, what lies between takes no part" in found.warnings
+    assert len(found.run) == len(record)
+    assert np.array_equal(found.run.u[800:], record.u[800:]) == (kind == "none")
 
 
 def test_replay_wants_the_axis_period():
