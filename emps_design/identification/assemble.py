@@ -22,6 +22,7 @@ from emps_design.identification.unexplained import unexplained
 
 LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)  # s by which a loop may follow its reference late
 MAY_BE_ZERO = ("constant_force", ANGLE.name, "viscous_difference")  # on a machine with nothing wrong
+OPEN = 0.5  # of the force: what may be nothing and may be as much is not determined
 LARGEST_NEAR_GAPS = 0.5  # share of what tells a friction parameter apart that may lie beside a rest
 
 
@@ -92,6 +93,8 @@ def assemble(
             )
         elif half * sizes[i] > swing:
             why = f"{said} more than all of the {axis.units.words('force')}; record several speeds both ways"
+        elif half > abs(value) and half * sizes[i] > OPEN * swing:
+            why = f"{said} nothing or half of the {axis.units.words('force')}; record several speeds both ways"
         elif quantity.name == "mass" and half >= abs(value):
             why = f"{said} nothing: speeds are constant, or the encoder hides the acceleration; record acceleration"
         elif quantity.name in pushed:

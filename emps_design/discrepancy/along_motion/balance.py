@@ -31,6 +31,7 @@ from emps_design.identification.result import Identification
 from emps_design.records import Record
 
 SYMMETRIC = "symmetric"
+NORMAL = 1.96  # deviations to either side that are an interval of 95 %
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,15 @@ class Fitted:
         return all(self.found.parameters[quantity.name].determined for quantity in TERMS[term].quantities)
 
     def deviation(self, name: str) -> float:
-        """Standard deviation of the number ``name`` with all that its interval holds; 0 where it is held."""
+        """Standard deviation of the number ``name``: twice as much to either side is its 95 % interval, clock and all.
+
+        Of one that is held at nothing, what its interval has above nothing; 0 where it has none.
+        """
         ends = self.found.parameters[name].interval_95
-        if ends is None or name in self.held:
+        if ends is None:
             return 0.0
-        return float(np.hypot(0.5 * (ends[1] - ends[0]) / self.found.residual.quantile, self.moves[name]))
+        half = max(ends[1], 0.0) if name in self.held else 0.5 * (ends[1] - ends[0])
+        return float(np.hypot(half / NORMAL, self.moves[name]))
 
 
 @dataclass(frozen=True)

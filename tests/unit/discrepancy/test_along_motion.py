@@ -7,12 +7,14 @@ import runpy
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from emps_design.cli.app import run
 from emps_design.discrepancy import diagnose
+from emps_design.discrepancy.along_motion.balance import Fitted
 from emps_design.effects import get_effect
 from emps_design.errors import RecordError, SimulationError
 from emps_design.identification.command_clock import logged_beside, moved
@@ -25,6 +27,18 @@ PERIODS = pytest.mark.parametrize(("period", "irregular"), [(0.01, False), (0.02
 @pytest.fixture(scope="module")
 def weighed():
     return robot(joint([WEIGHT]))
+
+
+def test_a_deviation_is_half_of_what_its_interval_has_to_either_side():
+    """Of few independent rows Student's t makes the interval, and what is held at nothing may be more."""
+    intervals = {"mass": (1.0, 5.0), "viscous": (-0.4, 0.2), "coulomb": None}
+    numbers = {name: SimpleNamespace(interval_95=ends) for name, ends in intervals.items()}
+    found = SimpleNamespace(parameters=numbers, residual=SimpleNamespace(quantile=4.3))
+    fitted = Fitted(found, None, np.zeros(3), ("viscous",), {"mass": 0.0, "viscous": 0.0, "coulomb": 0.0})
+    assert fitted.deviation("mass") == pytest.approx(2.0 / 1.96)
+    assert fitted.deviation("viscous") == pytest.approx(0.2 / 1.96)
+    assert fitted.deviation("coulomb") == 0.0
+    assert replace(fitted, moves={"mass": 3.0}).deviation("mass") == pytest.approx(np.hypot(2.0 / 1.96, 3.0))
 
 
 @PERIODS

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from emps_design.axis import Axis
 from emps_design.cli import app
@@ -114,3 +115,16 @@ def test_speeds_that_are_constant_tell_no_mass():
     assert not any("no axis has mass" in warning for warning in found.warnings)
     assert found.parameters["constant_force"].value == pytest.approx(49.0, abs=0.3)
     assert found.parameters["coulomb"].value == pytest.approx(5.0, abs=0.5)
+
+
+def test_friction_that_may_be_nothing_or_half_of_the_force_is_not_determined():
+    t = np.arange(3000) * 0.01
+    q = np.sin(t) + 0.3 * np.sin(2.7 * t)
+    slow = lfilter([0.2], [1.0, -0.98], np.random.default_rng(11).standard_normal(t.size))
+    v = np.gradient(q, t)
+    axis = MOTOR.replace(mechanics={"mass": 0.1}, drive={"command_limit": 30.0}, sampling={"period": 0.01})
+    for size, determined in ((0.02, True), (0.6, False)):
+        u = 0.1 * np.gradient(v, t) + 0.1 * np.sign(v) + size * slow
+        found = identify(replace(Record.from_arrays(0.01, q, q, u, layout=layout_of(axis)), q_ref_recorded=False), axis)
+        assert found.parameters["coulomb"].determined == determined
+    assert any(text.startswith("coulomb is not determined") and "nothing or half" in text for text in found.warnings)
