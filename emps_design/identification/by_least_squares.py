@@ -15,7 +15,7 @@ from emps_design.identification.cutoff import acceleration_noise, chosen_cutoff,
 from emps_design.identification.excitation import REFUSE, check_record, force_free, goes_one_way
 from emps_design.identification.inverse_model import LeastSquares, least_squares, relative_error
 from emps_design.identification.known import acting, known_part, notes
-from emps_design.identification.model import LUMP, ONE_WAY, Model
+from emps_design.identification.model import LUMP, LUMPED, ONE_WAY, Model
 from emps_design.identification.problem import Problem
 from emps_design.identification.proposals import proposed_terms
 from emps_design.identification.request import Request
@@ -72,12 +72,8 @@ def _one_way(found: Identification, model: str) -> Identification:
             units = found.axis.units
             quantity = replace(written, unit=units.unit(written.unit), text=units.words(written.text))
             told[written.name] = Estimate(quantity, None, None)
-    said = (
-        "coulomb, constant_force are not determined: the motion goes one way only, where both are one force, "
-        f"{LUMP.name}; record the other way too and give both records"
-    )
     parameters = {name: told[name] for name in (*whole.names, LUMP.name)}
-    return replace(found, fitted=whole, parameters=parameters, warnings=(*found.warnings, said))
+    return replace(found, fitted=whole, parameters=parameters, warnings=(*found.warnings, LUMPED))
 
 
 def _encoder(problem: Problem, fit: LeastSquares) -> np.ndarray | None:

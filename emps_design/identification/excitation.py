@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -87,6 +88,17 @@ def goes_one_way(record: Record) -> bool:
     pieces = [record.q[start:stop] for start, stop in record.pieces if stop - start > 1]
     pieces = [q for q in pieces if np.ptp(q) >= 0.02 * max(np.ptp(piece) for piece in pieces)]
     return not any(map(reverses, pieces)) and len({bool(q[-1] > q[0]) for q in pieces}) < 2
+
+
+def one_direction(records: Sequence[Record]) -> int:
+    """1 or -1 where all of ``records`` go one and the same way, 0 otherwise.
+
+    >>> up = Record(t=np.arange(3.0), q_ref=np.arange(3.0), q=np.arange(3.0), u=np.ones(3), period=1.0)
+    >>> one_direction([up, up]), one_direction([up, replace(up, q=-up.q)])
+    (1, 0)
+    """
+    ways = {int(np.sign(record.q[-1] - record.q[0])) for record in records}
+    return ways.pop() if len(ways) == 1 and all(map(goes_one_way, records)) else 0
 
 
 def reliability(W: np.ndarray, Z: np.ndarray, lags: tuple[int, ...] = (0,)) -> np.ndarray:

@@ -35,6 +35,11 @@ MODELS: dict[str, tuple[Quantity, ...]] = {
 # What a record that goes one way tells of the symmetric model: what opposes the motion whatever its speed is one force.
 ONE_WAY, LUMP = "one way", Quantity("coulomb_and_offset", "F_c0", "N", text="Coulomb friction and constant force")
 
+LUMPED = (
+    "coulomb, constant_force are not determined: the motion goes one way only, where both are one force, "
+    f"{LUMP.name}; record the other way too and give both records"
+)
+
 # What a force has to work against on any machine.
 FRICTION = tuple(f"{kind}{way}" for kind in ("viscous", "coulomb") for way in ("", "_positive", "_negative"))
 

@@ -14,13 +14,14 @@ from emps_design.report.page import Section, Table
 if TYPE_CHECKING:
     from emps_design.discrepancy.result import Diagnosis
 
+NUMBERS = ("mass", "viscous", "coulomb", "constant_force")  # of the axis, by which a document has them
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg: the specification of the paper's velocity loop
 
 
 def axis_before(extended: Axis, parameters: Mapping[str, Any]) -> Axis:
     """Return ``extended`` as it was without the effects found: its baseline refitted, from ``parameters``."""
-    fitted = {name: entry["baseline"]["value"] for name, entry in parameters.items() if entry.get("baseline")}
-    baseline = {name: value for name, value in fitted.items() if value is not None}
+    entries = {name: parameters[name]["baseline"] for name in NUMBERS if parameters.get(name, {}).get("baseline")}
+    baseline = {name: entry["value"] for name, entry in entries.items() if entry["value"] is not None}
     if "constant_force" in baseline:
         baseline["offset"] = baseline.pop("constant_force")
     return extended.replace(effects=[], mechanics=baseline)

@@ -25,6 +25,9 @@ from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.search.noise_floor import Floor
 from emps_design.discrepancy.validation.gap import Gap, Prediction
+from emps_design.effects.effect import COULOMB, OFFSET
+from emps_design.identification.excitation import one_direction
+from emps_design.identification.model import LUMP, ONE_WAY
 from emps_design.identification.proposals import TWICE
 from emps_design.identification.unexplained import LITTLE, Unexplained
 from emps_design.observer import motor_force
@@ -210,6 +213,13 @@ def _parameters(found: Found) -> dict[str, Any]:
             value = float(fitted.model.baseline(_whole(fitted))[place]) if told else None
             entry[name] = {"value": value, "std": fitted.deviation(quantity.name) if told else None}
         table[quantity.name] = entry
+    if found.balance.friction == ONE_WAY:
+        direction = one_direction([found.balance.record])
+        entry = {"unit": LUMP.unit, "axis": float(given[COULOMB] + direction * given[OFFSET])}
+        for name, fitted in (("baseline", found.baseline), ("extended", found.extended)):
+            value = fitted.determined.get(LUMP.name)
+            entry[name] = {"value": value, "std": None if value is None else fitted.deviation(LUMP.name)}
+        table[LUMP.name] = entry
     return table
 
 

@@ -24,9 +24,11 @@ from emps_design.discrepancy.model.partition import FEWEST_STROKES, PARTS, Split
 from emps_design.discrepancy.model.problem import Hypothesis, Problem
 from emps_design.discrepancy.model.whitening import Whitening
 from emps_design.effects import Effect
-from emps_design.effects.effect import COULOMB, MASS, VISCOUS
+from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError
+from emps_design.identification.excitation import one_direction
+from emps_design.identification.model import LUMPED
 from emps_design.records import Record
 
 Interval = tuple[float, float]
@@ -59,7 +61,8 @@ class Preparation:
 
     ``records`` are as they were given; ``start`` is the axis file's own model of them, with what the controller adds to
     its law; ``library`` are the effects to look for, ``laws`` the checks of the controller's law, one per record where
-    the controller is known. ``confirming`` says what ``held_out`` is, or why it is None.
+    the controller is known. ``confirming`` says what ``held_out`` is, or why it is None. ``direction`` is 1 or -1 where
+    all goes one way: then Coulomb friction and the constant force are one, and the latter stays as the axis file says.
     """
 
     records: tuple[Record, ...]
@@ -69,6 +72,7 @@ class Preparation:
     held_out: HeldOut | None
     confirming: Confirming
     warnings: tuple[str, ...]
+    direction: int = 0
 
     @property
     def unexplained_law(self) -> bool:
@@ -129,13 +133,18 @@ def prepare(
             window = float(record.t[inside][0]), float(record.t[inside][-1])
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
     held: tuple[int, ...] = ()
+    direction = one_direction(searched)
     if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
         library = tuple(filter(told_by_one_speed, library))
         warnings.append(ONE_SPEED)
+        direction = 0
+    elif direction:
+        held = (OFFSET,)
+        warnings.append(LUMPED)
     start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
-    return Preparation(records, start, plant, laws, held_out, confirming, tuple(warnings))
+    return Preparation(records, start, plant, laws, held_out, confirming, tuple(warnings), direction)
 
 
 def _confirming(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.experiment.discrimination import Experiment, experiment, what_to_record
 from emps_design.discrepancy.explain.detection_limits import least_visible, not_excluded
@@ -28,8 +30,11 @@ from emps_design.discrepancy.validation.closest import Closest
 from emps_design.discrepancy.validation.gap import most_missed
 from emps_design.discrepancy.validation.verdict import Validation, wrong_numbers
 from emps_design.effects import get_effect, kind_of
+from emps_design.effects.effect import COULOMB, OFFSET
+from emps_design.identification.model import LUMP
 
 SHOWN_CANDIDATES = 10
+UNTOLD = {"value": None, "std": None}
 # The picture over the coordinate of an extent.
 _OVER = {"reversals": "time from reversal", "speed": "velocity", "position": "position", "time": "time"}
 
@@ -163,17 +168,27 @@ def _candidates(validation: Validation) -> list[dict[str, Any]]:
 
 
 def _parameters(validation: Validation) -> dict[str, Any]:
-    """The baseline's numbers: the axis file's, fitted alone, and beside the effects."""
+    """The baseline's numbers: the axis file's, fitted alone, and beside the effects; None where one way tells none."""
+    direction = validation.outcome.calibration.preparation.direction
     given = validation.extended.problem.axis.mechanics.array()
     pairs = {
         "baseline": (validation.baseline, validation.outcome.path[0]),
         "extended": (validation.extended, validation.outcome.best),
     }
-    table = {}
-    for place, quantity in enumerate(BASELINE):
+
+    def entry(unit: str, weights: np.ndarray) -> dict[str, Any]:
+        """The sum of the baseline's numbers with ``weights`` (4,), of which one is free."""
+        place = int(np.flatnonzero(weights)[0])
         fitted = {
-            name: {"value": float(now.model.baseline[place]), "std": deviation(now, before, -1, place)}
+            name: {"value": float(now.model.baseline @ weights), "std": deviation(now, before, -1, place)}
             for name, (now, before) in pairs.items()
         }
-        table[quantity.name] = {"unit": quantity.unit, "axis": float(given[place]), **fitted}
+        return {"unit": unit, "axis": float(given @ weights), **fitted}
+
+    every = np.eye(len(BASELINE))
+    table = {quantity.name: entry(quantity.unit, row) for quantity, row in zip(BASELINE, every, strict=True)}
+    if direction:
+        for place in (COULOMB, OFFSET):
+            table[BASELINE[place].name] |= dict.fromkeys(pairs, UNTOLD)
+        table[LUMP.name] = entry(LUMP.unit, every[COULOMB] + direction * every[OFFSET])
     return table
