@@ -67,7 +67,7 @@ class Run:
         first, *others = runs
         if not others:
             return first
-        signals = {name: np.concatenate([getattr(one, name) for one in runs]) for name in STORED}
+        signals: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in runs]) for name in STORED}
         gain = np.concatenate([np.broadcast_to(one.force_gain, len(one)) for one in runs])
         events, lost = np.concatenate([one.events for one in runs]), sum(one.lost_events for one in runs)
         starts = first.period * np.cumsum([0, *map(len, runs)][:-1])

@@ -127,7 +127,7 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
         "acceleration": tuple(np.gradient(np.gradient(q, record.period), record.period) for q in (record.q, run.q)),
         "force": (motor_force(axis, record), run.force),
     }
-    relative = {name: relative_error_percent(*pair, settled) for name, pair in pairs.items()}
+    relative = {name: relative_error_percent(a, b, settled) for name, (a, b) in pairs.items()}
     absolute = {name: float(np.mean(np.abs(pairs[name][0] - pairs[name][1])[there])) for name in ABSOLUTE}
     rms = {name: float(np.sqrt(np.mean((a - b)[settled] ** 2))) for name, (a, b) in pairs.items()}
     return Replay(axis, record, run, closed, relative, rms, absolute, tuple(warnings))
@@ -142,8 +142,13 @@ def _open_loop(axis: Axis, record: Record, quantise: bool) -> Run:
     for start, stop in pairwise([*starts, n]):
         part = record.part(start, stop)
         v0 = float(part.q[SPAN] - part.q[0]) / (SPAN * part.period) if start and len(part) > SPAN else 0.0
-        how = {"period": part.period, "quantise": quantise, "supply": part.supply, "enable": part.enable}
-        runs.append(plant.open_loop(part.u, part.f_ext, float(part.q[0]), v0, **how))
+        how: dict[str, Any] = {
+            "period": part.period,
+            "quantise": quantise,
+            "supply": part.supply,
+            "enable": part.enable,
+        }
+        runs.append(plant.open_loop(part.u, part.f_ext, float(part.q[0]), v0, period=part.period, **how))
     return Run.joined(runs)
 
 
