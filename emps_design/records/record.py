@@ -112,7 +112,7 @@ class Record:
         """First sample and the one after the last of each piece that was recorded: one of a record without gaps.
 
         >>> ramp = np.arange(60.0)
-        >>> Record.from_arrays(0.01, ramp, ramp, np.sin(ramp), bridged=(ramp > 9) & (ramp < 20)).pieces
+        >>> Record.from_arrays(0.01, ramp / 9, ramp / 9, np.sin(ramp), bridged=(ramp > 9) & (ramp < 20)).pieces
         [(0, 10), (20, 60)]
         """
         return stretches(~self.in_gap)
