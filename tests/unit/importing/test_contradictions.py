@@ -218,14 +218,20 @@ def test_the_embedded_machine_reads_its_own_records():
     assert with_contradictions(axis, record) is record
 
 
-def test_a_part_that_only_speeds_up_and_one_that_only_brakes_have_no_gain_to_compare():
-    period, rest = 1e-3, np.zeros(100)
-    a = np.concatenate([rest, np.full(300, 10.0), np.zeros(60), np.full(100, -30.0), rest])
+ONCE = [(60, 0.0), (150, 15.0), (150, 5.0), (300, 0.0), (100, -30.0), (140, 0.0)]  # samples, m/s^2
+
+
+@pytest.mark.parametrize(("pieces", "halved_from", "said"), [(ONCE, 376, False), ([*ONCE, *ONCE], 900, True)])
+def test_a_part_that_only_speeds_up_and_one_that_only_brakes_have_no_gain_to_compare(pieces, halved_from, said):
+    """Half the command once it is fast may be friction that depends on the torque; half of a whole motion is none."""
+    period = 1e-3
+    a = np.concatenate([np.full(n, at) for n, at in pieces])
     v = period * np.cumsum(a)
     v[np.abs(v) < 1e-9] = 0.0
-    loaded = np.where(a > 0.0, 2.0, 1.0)  # friction of a gear that grows with the torque
-    u = 0.1 * a + np.sign(v) * loaded + 0.01 * np.random.default_rng(5).standard_normal(a.size)
+    u = (0.1 * a + np.sign(v)) * np.where(np.arange(a.size) < halved_from, 1.0, 0.5)
+    u += 0.01 * np.random.default_rng(5).standard_normal(a.size)
     q = period * np.cumsum(v)
     axis = Axis.from_dict({**STAGE.to_dict(), "controller": UNKNOWN})
     record = Record.from_arrays(period, q, q, u, layout=Layout(units=STAGE.units))
-    assert with_contradictions(axis, record).contradictions == ()
+    found = with_contradictions(axis, record).contradictions
+    assert any("its gain or its unit changes" in text for text in found) == said
