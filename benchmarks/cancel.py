@@ -55,7 +55,7 @@ def computed(pid: int) -> float:
 
 def in_the_studio(work: Callable[[Callable], object], moment: float) -> float | None:
     """The same for the button of a job: its poll, which the page calls, is called by hand."""
-    from emps_design.studio import jobs
+    from emps_design.studio import panes
 
     polls: list[Callable[[], None]] = []
     said: list[object] = []
@@ -64,21 +64,21 @@ def in_the_studio(work: Callable[[Callable], object], moment: float) -> float | 
         def stop(self) -> None:
             polls.clear()
 
-    jobs.pn.state.add_periodic_callback = lambda poll, period: polls.append(poll) or Callback()
-    job = jobs.Job()
+    panes.pn.state.add_periodic_callback = lambda poll, period: polls.append(poll) or Callback()
+    job = panes.Job()
     start = time.process_time()
     job.start(work, said.append, said.append)
     while polls and time.process_time() - start < moment:
         polls[0]()
-        time.sleep(jobs.POLL / 1e3)
+        time.sleep(panes.POLL / 1e3)
     if not polls:
         return None
     job.stop()
     start = time.perf_counter()
     while polls:
         polls[0]()
-        time.sleep(jobs.POLL / 1e3)
-    assert said == [jobs.CANCELLED], said
+        time.sleep(panes.POLL / 1e3)
+    assert said == [panes.CANCELLED], said
     return time.perf_counter() - start
 
 
@@ -88,7 +88,7 @@ def main() -> None:
     from emps_design.files import write_text
     from emps_design.machines import machine
     from emps_design.simulation.synthetic import synthetic_record
-    from emps_design.studio.simulated import simulate
+    from emps_design.studio.simulation_view import simulate
     from emps_design.studio.state import State
 
     for number in MOMENTS:  # a job in the background of a shell ignores one of them

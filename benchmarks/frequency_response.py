@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from emps_design.control.loop.margins import loop_margins
-from emps_design.control.loop.sampled_loop import axis_loop
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.margins import loop_margins
+from emps_design.control.sampled import axis_loop
 from emps_design.errors import SpecificationError
 from emps_design.frequency_response import (
     Limits,
@@ -84,7 +84,7 @@ def true_margins(axis):
 
 def delay_by_force(axis):
     """The delay [s] behind the plant input that makes the true loop unstable, by its poles."""
-    from emps_design.control.loop.sampled_loop import close
+    from emps_design.control.sampled import close
 
     period = axis.sampling.period
     plant, law = sample_axis(axis, SPEED), linear_law(law_of(axis, period), period)

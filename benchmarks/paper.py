@@ -12,7 +12,7 @@ from pathlib import Path
 from benchmarks.table_2 import sweep
 from emps_design.cli.output import progress_bar
 from emps_design.files import write_text
-from emps_design.paper.section_3 import PRINTED
+from emps_design.paper.virtual_bench import PRINTED
 
 EXPERIMENTS = 10
 

@@ -15,12 +15,14 @@ import numpy as np
 from emps_design.identification.chains import CHAINS
 from emps_design.identification.inverse_model import LeastSquares, least_squares, regression
 from emps_design.identification.model import parameters_of
-from emps_design.paper.bench_numbers import NUMBERS, numbers
-from emps_design.paper.section_3 import MODEL, PRINTED
 from emps_design.paper.virtual_bench import (
+    MODEL,
+    NUMBERS,
+    PRINTED,
     bench_axis,
     comanipulation_experiment,
     identification_experiment,
+    numbers,
 )
 from emps_design.progress import Progress
 from emps_design.records import Record

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from emps_design.errors import EmpsError as EmpsError
     from emps_design.identification import (
         Identification as Identification,
-        identify as identify,
         identify_several as identify_several,
         observe as observe,
     )
+    from emps_design.identification import identify as identify
     from emps_design.laws import Law as Law
     from emps_design.importing import import_record as import_record
     from emps_design.machines import load_axis as load_axis, machine as machine

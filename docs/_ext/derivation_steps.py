@@ -52,9 +52,8 @@ class PaperEquations(Directive):
 
     def run(self):
         from emps_design.paper.derivations import derivation
-        from emps_design.paper.places import PLACES
-        from emps_design.paper.printed import EQUATIONS
-        from emps_design.paper.written import latex
+        from emps_design.paper.errata import PLACES
+        from emps_design.paper.written import EQUATIONS, latex
 
         steps = [step for _, steps in derivation().values() for step in steps]
         lines: list[str] = []

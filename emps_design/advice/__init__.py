@@ -18,8 +18,8 @@ from emps_design.advice.advice import LEVELS as LEVELS
 from emps_design.advice.advice import SAFE as SAFE
 from emps_design.advice.advice import Advice as Advice
 from emps_design.advice.advice import Asked, flag_of, nearest_command, sentence
-from emps_design.advice.designs import DESIGNS
-from emps_design.advice.records import RECORDS, identify
+from emps_design.advice.advice import DESIGNS
+from emps_design.advice.advice import RECORDS, identify
 
 JUDGES: dict[str, Callable[[Mapping[str, Any], Asked], Advice]] = {**DESIGNS, **RECORDS}
 

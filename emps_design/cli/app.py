@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design import __version__
 from emps_design.cli import interrupts
-from emps_design.cli.advice import advice_on_error
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
-from emps_design.cli.output import print_json, tell
-from emps_design.cli.wording import begin
+from emps_design.cli.output import advice_on_error, begin, print_json, tell
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
 
 if TYPE_CHECKING:

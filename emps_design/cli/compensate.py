@@ -7,11 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.advice import add_advice, say_advice
-from emps_design.cli.design_options import AsJson, AxisArgument, Force
 from emps_design.cli.destinations import AXIS, JSON, check_folder, make_folder
-from emps_design.cli.ignored import refuse_force, refuse_ignored
-from emps_design.cli.output import json_text, new_console, print_json, print_warnings, say
+from emps_design.cli.options import AsJson, AxisArgument, Force, refuse_force, refuse_ignored
+from emps_design.cli.output import add_advice, json_text, new_console, print_json, print_warnings, say, say_advice
 
 FILES = {"axis.toml": AXIS, "compensation.json": JSON}
 # The options that each scenario reads.
@@ -37,7 +35,7 @@ def command(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis
     from emps_design.compensation import compensate
     from emps_design.errors import InputError, nearest_name
 
@@ -67,18 +65,18 @@ def command(
 
 
 def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed: float, acceleration: float) -> Any:
-    from emps_design.simulation import trajectories
+    from emps_design.simulation import scenarios
 
     period = axis.sampling.period
     if path is not None:
-        from emps_design.simulation.reference_file import read_reference
+        from emps_design.simulation.scenarios import read_reference
 
         return read_reference(path, period, axis.units)[0]
     if scenario == "half-ramp":
-        return trajectories.half_ramp_program(period, (speed, 0.5 * speed, 0.25 * speed))
+        return scenarios.half_ramp_program(period, (speed, 0.5 * speed, 0.25 * speed))
     if scenario == "multi-sine":
-        return trajectories.multi_sine(period, amplitude=0.5 * stroke)
-    return trajectories.trapezoid_laps(period, stroke, speed, acceleration, laps=1)
+        return scenarios.multi_sine(period, amplitude=0.5 * stroke)
+    return scenarios.trapezoid_laps(period, stroke, speed, acceleration, laps=1)
 
 
 def _write(out: Path, found: Any, document: dict[str, Any]) -> str:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from emps_design.cli.design_options import AsJson
-from emps_design.cli.ignored import refuse_ignored
+from emps_design.cli.options import AsJson, refuse_ignored
 from emps_design.cli.output import new_console, print_json, say
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ def command(
     if as_json:
         refuse_ignored(context, ["latex"], "goes without --json; a document is one or the other")
     if latex:
-        from emps_design.paper.latex import document
+        from emps_design.paper.errata import document
 
         say(document())
         return

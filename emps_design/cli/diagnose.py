@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from emps_design.cli.advice import add_advice, say_advice
 from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder, make_folder
-from emps_design.cli.ignored import refuse_force
-from emps_design.cli.interrupts import before_the_end
-from emps_design.cli.output import json_text, new_console, print_json, print_warnings, progress_bar
-from emps_design.cli.partial_diagnosis import PartialDiagnosis
+from emps_design.cli.interrupts import PartialDiagnosis, before_the_end
+from emps_design.cli.options import refuse_force
+from emps_design.cli.output import (
+    add_advice,
+    json_text,
+    new_console,
+    print_json,
+    print_warnings,
+    progress_bar,
+    say_advice,
+)
 from emps_design.errors import InputError, one_line
 from emps_design.files import write_aside, write_text, write_together
 from emps_design.quantities import rounded, share_asked
@@ -56,7 +62,7 @@ def command(
     force: Annotated[bool, typer.Option("--force", help=OVERWRITE)] = False,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> None:
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis
     from emps_design.discrepancy import diagnose
     from emps_design.importing import import_record
 
@@ -131,8 +137,8 @@ def _check_diagnosis_there(out: Path | None, records: Sequence[Record], force: b
 
 def _write(diagnosis: Any, document: dict[str, Any], out: Path, axis: str) -> None:
     """Write everything into ``out``, all files together or none."""
-    from emps_design.discrepancy.experiment.discrimination import FILE
-    from emps_design.discrepancy.validation.closest import FILE as CLOSEST_FILE
+    from emps_design.discrepancy.closest import FILE as CLOSEST_FILE
+    from emps_design.discrepancy.experiment import FILE
     from emps_design.report.diagnosis import diagnosis_page
 
     make_folder(out)

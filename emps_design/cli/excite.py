@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
-from emps_design.cli.frequency import HERTZ
-from emps_design.cli.ignored import refuse_force, refuse_ignored
+from emps_design.cli.options import HERTZ, refuse_force, refuse_ignored
 
 if TYPE_CHECKING:
     from emps_design.frequency_response import Experiment
@@ -40,8 +39,7 @@ def command(
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
-    from emps_design.cli.output import print_json, print_warnings
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis, print_json, print_warnings
     from emps_design.frequency_response import Limits, design_experiment
 
     refuse_force(context, out)

@@ -8,10 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.design_options import AsJson, AxisArgument, Force
 from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
-from emps_design.cli.frequency import HERTZ
-from emps_design.cli.ignored import refuse_ignored
+from emps_design.cli.options import HERTZ, AsJson, AxisArgument, Force, refuse_ignored
 from emps_design.cli.output import print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
@@ -33,10 +31,9 @@ def command(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis
     from emps_design.codegen import export_controller, export_observer
-    from emps_design.codegen.origin import origin_of
-    from emps_design.codegen.pages import OPERATIONS
+    from emps_design.codegen.targets import OPERATIONS, origin_of
 
     if observer is not None:
         refuse_ignored(context, ["compensation"], "goes without --observer")

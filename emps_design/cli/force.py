@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.advice import add_advice, say_advice
-from emps_design.cli.design_options import (
+from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.options import (
     AsJson,
     AxisArgument,
     Bandwidth,
@@ -15,29 +15,27 @@ from emps_design.cli.design_options import (
     Crossover,
     CurrentTimeConstant,
     Estimator,
+    Filters,
     Force,
     ForceGain,
     Mass,
     Out,
     Period,
     PhaseMargin,
+    ReferenceFilter,
+    StructureOption,
     Velocity,
     Viscous,
     estimator_given,
+    filters_asked_for,
+    refuse_force,
+    refuse_ignored,
+    structure_asked_for,
     with_numbers,
     within,
     write_axis,
 )
-from emps_design.cli.destinations import AXIS, check_out
-from emps_design.cli.ignored import refuse_force, refuse_ignored
-from emps_design.cli.loop_options import (
-    Filters,
-    ReferenceFilter,
-    StructureOption,
-    filters_asked_for,
-    structure_asked_for,
-)
-from emps_design.cli.output import print_json, tell
+from emps_design.cli.output import add_advice, print_json, say_advice, tell
 from emps_design.errors import InputError
 
 
@@ -75,10 +73,10 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.cli.wording import load_axis
-    from emps_design.control.force.design import design_force_loop
+    from emps_design.cli.output import load_axis
+    from emps_design.control.force import design_force_loop
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
-    from emps_design.control.velocity.structure import IP, own_filters, own_gains, own_structure
+    from emps_design.control.velocity.gains import IP, own_filters, own_gains, own_structure
     from emps_design.laws.library import ip_velocity
 
     refuse_force(context, out)
@@ -135,7 +133,7 @@ def command(
     if as_json:
         print_json(document)
     else:
-        from emps_design.cli.design_tables import print_force
+        from emps_design.cli.tables import print_force
 
         print_force(document)
     if not stable:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from emps_design.cli.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, check_named_out
-from emps_design.cli.frequency import HERTZ
-from emps_design.cli.ignored import refuse_force
+from emps_design.cli.options import HERTZ, refuse_force
 
 if TYPE_CHECKING:
     from emps_design.frequency_response import Estimate
@@ -38,9 +37,7 @@ def command(
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
-    from emps_design.cli.advice import add_advice, say_advice
-    from emps_design.cli.output import print_json, print_warnings, progress_bar
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import add_advice, load_axis, print_json, print_warnings, progress_bar, say_advice
     from emps_design.errors import InputError, nearest_name
     from emps_design.frequency_response import estimate_response, write_response
     from emps_design.frequency_response.estimate import METHODS

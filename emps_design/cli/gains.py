@@ -9,38 +9,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.axis import Axis
-from emps_design.cli.advice import add_advice, say_advice
-from emps_design.cli.design_options import (
+from emps_design.cli.destinations import AXIS, check_out
+from emps_design.cli.options import (
     AsJson,
     AxisArgument,
     Bandwidth,
+    ComplianceRange,
     ComputationDelay,
     Coulomb,
     Crossover,
     CurrentTimeConstant,
+    DelayRange,
     EncoderResolution,
     Estimator,
+    Filters,
     Force,
     ForceGain,
+    InertiaRange,
     Mass,
     Out,
     Period,
     PhaseMargin,
-    Velocity,
-    Viscous,
-    VoltageLimit,
-    estimator_given,
-    with_numbers,
-    within,
-    write_axis,
-)
-from emps_design.cli.destinations import AXIS, check_out
-from emps_design.cli.ignored import refuse_force, refuse_ignored
-from emps_design.cli.loop_options import (
-    ComplianceRange,
-    DelayRange,
-    Filters,
-    InertiaRange,
     PositionBandwidth,
     PositionEvery,
     PositionKp,
@@ -50,12 +39,21 @@ from emps_design.cli.loop_options import (
     SensitivityPeakAbove,
     SensitivityPeakBelow,
     StructureOption,
+    Velocity,
+    Viscous,
+    VoltageLimit,
+    estimator_given,
     filters_asked_for,
     load_range_asked_for,
     position_loop_asked_for,
+    refuse_force,
+    refuse_ignored,
     structure_asked_for,
+    with_numbers,
+    within,
+    write_axis,
 )
-from emps_design.cli.output import print_json, tell
+from emps_design.cli.output import add_advice, print_json, say_advice, tell
 from emps_design.errors import InputError
 from emps_design.files import read_bytes
 
@@ -111,7 +109,7 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis
     from emps_design.control.velocity.comparison import gains_document
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.specification import check_specification
@@ -172,7 +170,7 @@ def command(
     if retune:
         suggested = (machine, phase_margin, design.structure, design.filters, velocity)
         if responses:
-            from emps_design.frequency_response.suggestion import suggest_filter_on_response
+            from emps_design.frequency_response.retune import suggest_filter_on_response
 
             document["suggestion"] = suggest_filter_on_response(responses[0], *suggested)
         else:
@@ -193,13 +191,12 @@ def command(
     if as_json:
         print_json(document)
     else:
-        from emps_design.cli.design_tables import print_gains
-        from emps_design.cli.loop_tables import print_around
+        from emps_design.cli.tables import print_around, print_gains
 
         print_gains(document)
         print_around(document)
         if measured is not None:
-            from emps_design.cli.measured_table import print_measured
+            from emps_design.cli.tables import print_measured
 
             print_measured(document["measured"])
             if "whole_loop" in document["measured"]:
@@ -221,7 +218,7 @@ class _Measured:
         around: PositionLoopDesign | None,
         limits: dict[str, float],
     ):
-        from emps_design.control.loop.nested import VELOCITY_LOOP, WHOLE
+        from emps_design.control.nested_loops import VELOCITY_LOOP, WHOLE
         from emps_design.frequency_response.loop import measured_document, measured_margins, over_limits
 
         axes = {VELOCITY_LOOP: design.loop_axis}
@@ -273,7 +270,7 @@ def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict
     """The relative errors to study: one share for all, or the intervals of an identification."""
     if mismatch is None and sigma_from is None:
         return None
-    from emps_design.control.velocity.sensitivity import identified_mismatch, relative_mismatch
+    from emps_design.control.velocity.load_range import identified_mismatch, relative_mismatch
 
     if mismatch is not None and sigma_from is not None:
         raise InputError("found both --mismatch and --sigma-from, expected one of them")

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
-from emps_design.cli.frequency import HERTZ
-from emps_design.cli.ignored import refuse_force, refuse_ignored
+from emps_design.cli.options import HERTZ, refuse_force, refuse_ignored
 
 if TYPE_CHECKING:
     from emps_design.identification.result import Identification
@@ -74,14 +73,12 @@ def command(
     """Identify the parameters of an axis from one record, or from several with their spread."""
     import sys
 
-    from emps_design.cli.advice import add_advice, say_advice
-    from emps_design.cli.output import print_json, progress_bar, tell
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import add_advice, load_axis, print_json, progress_bar, say_advice, tell
     from emps_design.errors import one_line
     from emps_design.files import write_text
     from emps_design.identification import identify
     from emps_design.identification.excitation import goes_one_way
-    from emps_design.identification.request import Request
+    from emps_design.identification.result import Request
     from emps_design.importing import import_record
 
     _refuse_ignored(context, estimator, len(records))

@@ -8,11 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.advice import add_advice, say_advice
-from emps_design.cli.design_options import within
-from emps_design.cli.frequency import RAD_S
-from emps_design.cli.ignored import refuse_ignored
-from emps_design.cli.output import new_console, print_json, progress_bar, tell
+from emps_design.cli.options import RAD_S, refuse_ignored, within
+from emps_design.cli.output import add_advice, new_console, print_json, progress_bar, say_advice, tell
 from emps_design.errors import InputError
 
 
@@ -54,7 +51,7 @@ def command(
     workers: Annotated[int, typer.Option(min=1, max=256, help="threads; the numbers do not depend on it")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> int:
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis
     from emps_design.comanipulation.assessment import assess_impedance
 
     if mismatch is None:

@@ -28,8 +28,7 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Read a drive's export as the [record] table of an axis says, and say what was taken for what."""
-    from emps_design.cli.output import print_json, print_warnings
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis, print_json, print_warnings
     from emps_design.importing import import_record
     from emps_design.importing.account import Account
 
@@ -66,8 +65,7 @@ def _window(text: str | None) -> tuple[float, float] | None:
 
 def _draw(path: Path, account: Account) -> None:
     from emps_design.files import write_aside, write_text
-    from emps_design.report.imported import import_page
-    from emps_design.report.record_figures import record_figure
+    from emps_design.report.record import import_page, record_figure
     from emps_design.report.style import draw
 
     if path.suffix == ".html":
@@ -84,8 +82,7 @@ def _show(account: Account, document: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    from emps_design.cli.output import new_console, say, show
-    from emps_design.cli.sparkline import sparkline
+    from emps_design.cli.output import new_console, say, show, sparkline
     from emps_design.errors import printable
     from emps_design.importing.account import HEADINGS
 

@@ -44,8 +44,7 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """A folder to start from: a commented axis file, synthetic records, and what to do with them."""
-    from emps_design.cli.output import print_json, say
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis, print_json, say
     from emps_design.effects.sizes import sizes
     from emps_design.errors import InputError
     from emps_design.files import write_text, write_together
@@ -87,7 +86,7 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     from emps_design.errors import InputError
     from emps_design.files import write_text
     from emps_design.identification.controller import TOLD, identify_law
-    from emps_design.importing.trace import axis_text, read_trace
+    from emps_design.importing.account import axis_text, read_trace
 
     check_folder(directory, {"axis.toml": AXIS}, (trace,), force=True)
     path = directory / "axis.toml"

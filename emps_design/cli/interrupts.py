@@ -2,6 +2,8 @@
 
 Python acts on a signal between two of its own instructions; compiled code and linear algebra may be minutes away from
 the next one. So a thread listens too, and ends the process where it does not unwind in time.
+
+What an interrupted ``diagnose`` leaves: nothing in the folder that was asked for, what it knew by then beside it.
 """
 
 from __future__ import annotations
@@ -13,11 +15,17 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import TracebackType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-from emps_design.cli.output import tell
-from emps_design.files import discard_unfinished
+from emps_design.cli.output import json_text, tell
+from emps_design.errors import EmpsError
+from emps_design.files import discard_unfinished, write_text, write_together
+from emps_design.progress import Progress
+
+if TYPE_CHECKING:
+    from emps_design.axis import Axis
 
 STATUS = 130
 GRACE = 1.5  # s, for the work to unwind by itself
@@ -26,6 +34,8 @@ ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")
 heard = threading.Event()  # set by the first of them
 _last_deeds: list[Callable[[], None]] = []
 _only_one = threading.Lock()
+
+SCHEMA = "emps-design/partial-diagnosis/1"
 
 
 def listen() -> None:
@@ -98,3 +108,57 @@ def _wait(reads: int) -> None:
     time.sleep(GRACE)
     tell("interrupted")
     end()
+
+
+class PartialDiagnosis:
+    """Remembers how far a diagnosis for the folder ``out`` is; ``write`` puts that into ``out`` with ``.partial``."""
+
+    def __init__(self, out: Path | None):
+        named = out is None or out.name not in ("", "..")
+        self.folder = None if out is None else Path(f"{out if named else os.path.abspath(out)}.partial")
+        self.stage, self.share = "reading", 0.0
+        self.axis: Axis | None = None
+
+    def hears(self, bar: Progress) -> Progress:
+        """``bar`` that ends the work where an interrupt was heard: the search would conclude from what it has."""
+
+        def progress(stage: str, share: float) -> None:
+            self.stage, self.share = stage, share
+            bar(stage, share)
+            self._stop()
+
+        return progress
+
+    def knows(self, axis: Axis) -> None:
+        """Keep the model with which the search ended."""
+        self.axis = axis
+        self._stop()
+
+    def write(self) -> None:
+        """Write what is known, and say where."""
+        if self.folder is None:
+            return
+        document = {
+            "schema": SCHEMA,
+            "interrupted": True,
+            "stage": self.stage,
+            "share": self.share,
+            "effects": [] if self.axis is None else [effect.kind for effect in self.axis.effects],
+            "model_file": None if self.axis is None else "model.toml",
+            "text": "The diagnosis was interrupted here; nothing of this was confirmed, and more may be missing.",
+        }
+        try:
+            self.folder.mkdir(exist_ok=True)
+            with write_together(self.folder) as aside:
+                write_text(aside / "partial.json", f"{json_text(document)}\n")
+                if self.axis is not None:
+                    head = f"# from a diagnosis that was interrupted: {self.stage}\n"
+                    write_text(aside / "model.toml", head + self.axis.to_toml())
+        except (EmpsError, OSError) as error:
+            tell(f"what was known by then could not be written: {error}")
+        else:
+            tell(f"what was known by then is in {self.folder}")
+
+    def _stop(self) -> None:
+        if heard.is_set():
+            raise KeyboardInterrupt

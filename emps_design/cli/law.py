@@ -25,9 +25,15 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     from emps_design.axis import Axis
-    from emps_design.cli.advice import add_advice, say_advice
-    from emps_design.cli.output import LOOKING, print_json, print_warnings, progress_bar
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import (
+        LOOKING,
+        add_advice,
+        load_axis,
+        print_json,
+        print_warnings,
+        progress_bar,
+        say_advice,
+    )
     from emps_design.errors import InputError
     from emps_design.files import write_text
     from emps_design.identification.controller import identify_law

@@ -6,10 +6,17 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.advice import add_advice, say_advice
-from emps_design.cli.design_options import AsJson, AxisArgument, Velocity, within
-from emps_design.cli.loop_options import ComplianceRange, DelayRange, InertiaRange, load_range_asked_for
-from emps_design.cli.output import new_console, new_table, print_json, tell
+from emps_design.cli.options import (
+    AsJson,
+    AxisArgument,
+    ComplianceRange,
+    DelayRange,
+    InertiaRange,
+    Velocity,
+    load_range_asked_for,
+    within,
+)
+from emps_design.cli.output import add_advice, new_console, new_table, print_json, say_advice, tell
 
 
 def command(
@@ -23,7 +30,7 @@ def command(
     velocity: Velocity = 0.1,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis
     from emps_design.control.controller import controller_margins
 
     span = load_range_asked_for(inertia_range, compliance_range, delay_range)
@@ -41,8 +48,8 @@ def command(
 
 
 def _print(document: dict[str, Any]) -> None:
-    from emps_design.cli.design_tables import number, worst_in_words
-    from emps_design.control.loop.worst import where_in_words
+    from emps_design.cli.tables import number, worst_in_words
+    from emps_design.control.nested_loops import where_in_words
 
     console = new_console()
     verdict = "stable" if document["stable"] else "UNSTABLE"

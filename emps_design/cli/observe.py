@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
-from emps_design.cli.frequency import HERTZ
-from emps_design.cli.ignored import refuse_force
+from emps_design.cli.options import HERTZ, refuse_force
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,9 +51,7 @@ def command(
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> None:
     """Observe the external force of a record, off-line and on-line."""
-    from emps_design.cli.advice import add_advice, say_advice
-    from emps_design.cli.output import print_json, progress_bar, tell
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import add_advice, load_axis, print_json, progress_bar, say_advice, tell
     from emps_design.identification.observation import observe, with_known_push
     from emps_design.importing import import_record
 

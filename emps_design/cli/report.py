@@ -6,10 +6,8 @@ from pathlib import Path
 
 import typer
 
-from emps_design.cli.design_options import AsJson, Bandwidth, Crossover, Force, PhaseMargin, within
 from emps_design.cli.destinations import PAGE, check_named_out
-from emps_design.cli.frequency import RAD_S
-from emps_design.cli.ignored import refuse_ignored
+from emps_design.cli.options import RAD_S, AsJson, Bandwidth, Crossover, Force, PhaseMargin, refuse_ignored, within
 
 
 def command(
@@ -60,9 +58,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
-    from emps_design.cli.advice import say_advice
-    from emps_design.cli.output import print_json, progress_bar, say, tell
-    from emps_design.cli.wording import load_axis, speak
+    from emps_design.cli.output import load_axis, print_json, progress_bar, say, say_advice, speak, tell
     from emps_design.errors import UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report, has_impedance_law

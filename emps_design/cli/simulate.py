@@ -8,9 +8,8 @@ from typing import Any
 
 import typer
 
-from emps_design.cli.design_options import within
 from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
-from emps_design.cli.ignored import refuse_force, refuse_ignored
+from emps_design.cli.options import refuse_force, refuse_ignored, within
 
 # The options that each scenario reads, besides those that all of them do.
 SCENARIOS = {
@@ -64,8 +63,7 @@ def command(
     force: bool = typer.Option(False, "--force", help=OVERWRITE),
     as_json: bool = typer.Option(False, "--json", help="One JSON document on standard output."),
 ) -> int:
-    from emps_design.cli.advice import add_advice, say_advice
-    from emps_design.cli.output import print_json, tell
+    from emps_design.cli.output import add_advice, print_json, say_advice, tell
     from emps_design.errors import InputError
 
     scenario = scenario or ("replay" if record else "reference" if reference else "")
@@ -121,7 +119,7 @@ def _refuse_ignored(context: typer.Context, scenario: str) -> None:
 def _single(
     scenario: str, name: str, record: Path | None, reference: Path | None, rate: float, peak: float | None
 ) -> Any:
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis
     from emps_design.errors import InputError
     from emps_design.simulation import scenarios
 
@@ -136,7 +134,7 @@ def _single(
         return scenarios.replay(axis, import_record(record, axis))
     if reference is None:
         raise InputError("--scenario reference: found no reference, expected --reference FILE")
-    from emps_design.simulation.reference_file import read_reference
+    from emps_design.simulation.scenarios import read_reference
 
     return scenarios.follow(axis, *read_reference(reference, axis.sampling.period, axis.units))
 
@@ -150,8 +148,7 @@ def _comanipulation(
     damping: float | None,
     law: dict[str, Any],
 ) -> Any:
-    from emps_design.cli.output import progress_bar
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis, progress_bar
     from emps_design.comanipulation.scenario import run_comanipulation
 
     with progress_bar() as progress:
@@ -168,10 +165,9 @@ def _comanipulation(
 
 
 def _bench(seed: int, tau_ref: float | None) -> Any:
-    from emps_design.cli.output import progress_bar
-    from emps_design.cli.wording import speak
+    from emps_design.cli.output import progress_bar, speak
     from emps_design.paper import reproduce_section_3
-    from emps_design.paper.bench_numbers import numbers
+    from emps_design.paper.virtual_bench import numbers
     from emps_design.units import Units
 
     speak(Units())
@@ -241,7 +237,7 @@ def _show_bench(document: dict[str, Any]) -> None:
 
 def _rows(document: dict[str, Any], units: dict[str, str], before: tuple[str, ...] = ()) -> list[tuple[str, str, str]]:
     """Name, value and unit of each number; ``units`` has a unit by the name of a quantity, or of a group of them."""
-    from emps_design.cli.wording import for_reader
+    from emps_design.cli.output import for_reader
 
     rows: list[tuple[str, str, str]] = []
     for key, value in document.items():

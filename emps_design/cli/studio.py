@@ -17,8 +17,7 @@ def command(
     import sys
     from importlib.util import find_spec
 
-    from emps_design.cli.output import print_json, say
-    from emps_design.cli.wording import load_axis
+    from emps_design.cli.output import load_axis, print_json, say
     from emps_design.errors import InputError
 
     loaded = load_axis(axis)

@@ -1,23 +1,79 @@
-"""The virtual machine as C: the axis with its effects, by translation of the stepper that its simulations run."""
+"""The virtual machine as C: the axis with its effects, by translation of the stepper that its simulations run.
+
+Read the simulation's own stepper: what :mod:`.reader` takes, and what only a whole simulation needs.
+
+Besides arithmetic a stepper has ``while``, ``break``, ``continue``, truth values in variables, several values at once,
+arrays that begin inside others, and kernels called by their number. What is known beforehand (``fixed``) is computed
+while reading, and what it decides against is left out.
+
+A stepper as C99: several values are a structure, and the loop over samples is opened, so that one is a call.
+"""
 
 from __future__ import annotations
 
+import ast
+import math
+import operator
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba.core.dispatcher import Dispatcher
 
 from emps_design.axis import Axis
-from emps_design.codegen.c import HELPERS
-from emps_design.codegen.program import ARRAY, INT, REAL, WHOLES, Function, Program
-from emps_design.codegen.reader import read_into
-from emps_design.codegen.stepper import EXPONENT, StepperReader, items, read_stepper
-from emps_design.codegen.stepper_in_c import Opened, StepperPrinter
+from emps_design.codegen.languages import HELPERS, TYPES, CPrinter
+from emps_design.codegen.program import (
+    ARRAY,
+    INT,
+    REAL,
+    TRUTH,
+    WHOLES,
+    Apply,
+    Assign,
+    Binary,
+    Call,
+    Cell,
+    Do,
+    Expression,
+    For,
+    Function,
+    Item,
+    Leave,
+    Name,
+    Number,
+    Program,
+    Return,
+    Several,
+    Statement,
+    While,
+    names_in,
+    safe_names,
+)
+from emps_design.codegen.reader import LARGEST_POWER, FunctionReader, product, read_into, real, source_tree
 from emps_design.errors import InputError
 from emps_design.simulation import Plant
-from emps_design.simulation.effect_hooks import HOOKS
+from emps_design.simulation.kernels import compile as compiled
 from emps_design.simulation.kernels import hold_loop
 from emps_design.simulation.kernels.compile import address
+from emps_design.simulation.plant import HOOKS
+
+MORE: dict[Any, str] = {np.floor: "floor", np.ceil: "ceil", np.sqrt: "sqrt"}  # and what C has, a drive need not
+MORE |= {
+    getattr(math, name): name
+    for name in ("expm1", "log1p", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2", "hypot", "copysign",
+                 "fmod", "log10", "log2", "erf", "erfc")
+}  # fmt: skip
+BY_NUMBER = {  # kernels called by their number: what they answer
+    compiled.call_kernel: ("call_kernel", REAL),
+    compiled.call_actuator: ("call_actuator", REAL),
+    compiled.call_rate: ("call_rate", ""),
+}
+COMPARED: dict[type, Callable[[Any, Any], bool]] = {ast.Gt: operator.gt, ast.NotEq: operator.ne}
+EXPONENT = "exponent_of"  # of a number, as ``math.frexp`` has it
+
+KINDS = {**TYPES, ARRAY: "real *", WHOLES: "long long *", TRUTH: "int", "": "void"}
+RING = "RING"  # how many samples the arrays with one number a sample hold
 
 POINT = (*[REAL] * 4, *[ARRAY] * 3)  # q, v, t, tau, x, p, b
 FORMS = {"kernel": POINT, "actuator": (REAL, ARRAY), "rate": (*POINT, REAL, ARRAY)}  # arguments of compiled hooks
@@ -25,12 +81,332 @@ INITIAL = (REAL, ARRAY, ARRAY)
 LONGEST = 4096  # samples that a command may be on its way
 ARRAYS = ("y", "gains", "memory", "reference", "push", "noise", "motor_rows", "signals", "floors", "scratch", "out",
           "events")  # fmt: skip
-TYPES = {**dict.fromkeys(ARRAYS, ARRAY), "arrays": f"({ARRAY},{WHOLES},{WHOLES},{ARRAY},{ARRAY})", "law": INT,
+STEPPER_TYPES = {**dict.fromkeys(ARRAYS, ARRAY), "arrays": f"({ARRAY},{WHOLES},{WHOLES},{ARRAY},{ARRAY})", "law": INT,
          "slots": WHOLES, "found": WHOLES}  # fmt: skip
 SAMPLED = {"run": {"reference", "push", "encoder", "position", "velocity", "u", "outside"}, "applied": {"u"}}
 HELPER = (
     f"static long long {EXPONENT}(real x)\n{{\n    int found;\n\n    (void)frexp(x, &found);\n    return found;\n}}"
 )
+
+
+def read_stepper(stepper: Dispatcher, types: Mapping[str, str], fixed: Mapping[str, float]) -> Program:
+    """Return ``stepper`` with the parts it calls; ``types`` are those of its arguments, by name.
+
+    ``fixed`` are numbers that are known beforehand, by what stands for them, as ``{"law": 0, "push.size": 1}``.
+    """
+    found: dict[str, Function] = {}
+    calls: set[str] = set()
+    function = stepper.py_func
+    names = function.__code__.co_varnames[: function.__code__.co_argcount]
+    reader = StepperReader(function, source_tree(function), tuple(types[name] for name in names), found, calls, ())
+    reader.fixed = dict(fixed)
+    reader.read()
+    return Program(tuple(found.values()), frozenset(calls))
+
+
+def items(kind: str) -> list[str]:
+    """Types of what a type such as ``(real,int)`` holds; none of a single one."""
+    return kind[1:-1].split(",") if kind.startswith("(") else []
+
+
+class StepperReader(FunctionReader):
+    """Reads one function of the stepper."""
+
+    def __init__(self, *given: Any):
+        super().__init__(*given)
+        self.result = ""
+        self.fixed: dict[str, float] = {}
+        stores = [node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name) and type(node.ctx) is ast.Store]
+        self.once = {name for name in stores if stores.count(name) == 1}
+
+    def read(self) -> None:
+        """Read the function into ``found``, without variables that are known beforehand."""
+        super().read()
+        function = self.found[self.tree.name]
+        used = names_in(function.body)
+        variables = {name: kind for name, kind in function.variables.items() if name in used}
+        self.found[self.tree.name] = Function(
+            function.name, function.parameters, variables, function.body, function.result
+        )
+
+    def known(self, node: ast.expr) -> Any:
+        """The number that ``node`` is known to be beforehand, None where it is not."""
+        if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in COMPARED:
+            left, right = (
+                one.value if isinstance(one, ast.Constant) else self.known(one)
+                for one in (node.left, node.comparators[0])
+            )
+            return None if left is None or right is None else COMPARED[type(node.ops[0])](left, right)
+        return self.fixed.get(ast.unparse(node))
+
+    # Statements.
+
+    def statement(self, node: ast.stmt) -> list[Statement]:
+        """One statement, which may become several or none."""
+        if isinstance(node, ast.Return):
+            if node.value is None:
+                return [Return(None)]
+            value = self.number(node.value)
+            self.result = self.common(node, self.result, value.type)
+            return [Return(self.converted(node, value, self.result))]
+        if isinstance(node, ast.If) and (value := self.known(node.test)) is not None:
+            return list(self.block(node.body if value else node.orelse))
+        if isinstance(node, ast.While) and not node.orelse:
+            return [While(self.condition(node.test), self.block(node.body))]
+        if isinstance(node, ast.Break | ast.Continue):
+            return [Leave(type(node).__name__.lower())]
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+            return [Do(self.number(node.value))]
+        return super().statement(node)
+
+    def loop(self, node: ast.For) -> list[Statement]:
+        """``for`` over ``range``; none where it is known to be empty."""
+        last = node.iter.args[-1] if isinstance(node.iter, ast.Call) and len(node.iter.args) == 1 else None
+        return [] if last is not None and self.known(last) == 0 else super().loop(node)
+
+    def assignments(self, targets: list[ast.expr], value: ast.expr) -> list[Statement]:
+        """``targets = value``, several at once too."""
+        if not isinstance(targets[0], ast.Tuple):
+            return self.stored(targets[0], value) if len(targets) == 1 else super().assignments(targets, value)
+        wanted = targets[0].elts
+        if isinstance(value, ast.Tuple):
+            for place, target in enumerate(wanted):
+                later = [part for one in value.elts[place + 1 :] for part in ast.walk(one)]
+                if any(isinstance(part, ast.expr) and ast.unparse(part) == ast.unparse(target) for part in later):
+                    return self.refuse(value, f"{ast.unparse(target)} set and used in one assignment")
+            return [one for pair in zip(wanted, value.elts, strict=True) for one in self.stored(*pair)]
+        whole, before = self.number(value), list[Statement]()
+        if not isinstance(whole, Name):
+            name = f"several_{len(items(whole.type))}_{sum(map(ord, whole.type))}"
+            self.variables[name] = whole.type
+            before, whole = [Assign(Name(name, whole.type), whole)], Name(name, whole.type)
+        each = zip(wanted, items(whole.type), strict=True)
+        return before + [
+            self.assign(target, Item(whole, place, kind))
+            for place, (target, kind) in enumerate(each)
+            if not (isinstance(target, ast.Name) and target.id == "_")
+        ]
+
+    def stored(self, target: ast.expr, value: ast.expr) -> list[Statement]:
+        """One assignment; what is known beforehand and set once is not a variable."""
+        if self.fixed and isinstance(target, ast.Name) and target.id in self.once:
+            number = value.value if isinstance(value, ast.Constant) else self.known(value)
+            if isinstance(number, int | float):
+                self.fixed[target.id] = number
+                return []
+        return [self.assign(target, self.number(value))]
+
+    def assign(self, node: ast.expr, value: Expression) -> Statement:
+        """One assignment of a ``value`` of any type."""
+        if isinstance(node, ast.Name):
+            known = self.parameters.get(node.id) or self.variables.get(node.id) or ""
+            kind = self.common(node, known, value.type)
+            if kind in (REAL, INT):
+                return super().assign(node, value)
+            self.variables[node.id] = kind
+            return Assign(Name(node.id, kind), self.converted(node, value, kind))
+        target = self.number(node)
+        if isinstance(target, Cell) and target.type == INT:
+            return Assign(target, value)
+        return super().assign(node, value)
+
+    def common(self, node: ast.AST, first: str, second: str) -> str:
+        """The type of what is of both types: whole numbers become real."""
+        if first in ("", second):
+            return second
+        if {first, second} == {REAL, INT}:
+            return REAL
+        if len(items(first)) != len(items(second)) or not items(first):
+            return self.refuse(node, f"{second} for {first}", "one type")
+        each = [self.common(node, *pair) for pair in zip(items(first), items(second), strict=True)]
+        return f"({','.join(each)})"
+
+    def converted(self, node: ast.AST, value: Expression, kind: str) -> Expression:
+        """``value`` as one of type ``kind``."""
+        if value.type == kind:
+            return value
+        if kind == REAL and value.type == INT:
+            return real(value)
+        if not isinstance(value, Several):
+            return self.refuse(node, value.type, kind)
+        pairs = zip(value.items, items(kind), strict=True)
+        return Several(tuple(self.converted(node, *pair) for pair in pairs), kind)
+
+    # Expressions.
+
+    def number(self, node: ast.expr) -> Expression:
+        """``node`` as an expression of any type."""
+        value = node.value if isinstance(node, ast.Constant) else self.known(node)
+        if isinstance(value, bool):
+            return Number(int(value), TRUTH)
+        if value is not None:
+            return self.constant(node, value)
+        if isinstance(node, ast.Compare | ast.BoolOp) or (
+            isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+        ):
+            return self.condition(node)
+        if isinstance(node, ast.Tuple):
+            each = tuple(map(self.number, node.elts))
+            return Several(each, f"({','.join(one.type for one in each)})")
+        if isinstance(node, ast.Subscript):
+            return self.item(node)
+        if isinstance(node, ast.IfExp) and (choice := self.known(node.test)) is not None:
+            return self.number(node.body if choice else node.orelse)
+        return super().number(node)
+
+    def constant(self, node: ast.expr, value: Any) -> Expression:
+        """A constant, which may be infinite."""
+        return Number(value, REAL) if value in (math.inf, -math.inf) else super().constant(node, value)
+
+    def item(self, node: ast.Subscript) -> Expression:
+        """A number of an array, or one of several things."""
+        if isinstance(node.value, ast.Call) and self.value_of(node.value.func) is math.frexp:
+            self.calls.add(EXPONENT)
+            return Call(EXPONENT, (real(self.number(node.value.args[0])),), INT)
+        whole, place = self.number(node.value), self.whole(node.slice)
+        if items(whole.type) and isinstance(place, Number):
+            return Item(whole, int(place.value), items(whole.type)[int(place.value)])
+        if whole.type not in (ARRAY, WHOLES) or not isinstance(whole, Name | Item):
+            return self.refuse(node, f"an index of {whole.type}")
+        return Cell(whole.name if isinstance(whole, Name) else whole, place, REAL if whole.type == ARRAY else INT)
+
+    def condition(self, node: ast.expr) -> Expression:
+        """``node`` as a condition; a number is one where it is not 0."""
+        value = node.value if isinstance(node, ast.Constant) else self.known(node)
+        if value is not None:
+            return Number(int(bool(value)), TRUTH)
+        if isinstance(node, ast.Name | ast.Attribute | ast.Subscript | ast.Call):
+            found = self.number(node)
+            return found if found.type == TRUTH else Binary("!=", found, Number(0, INT), TRUTH)
+        if isinstance(node, ast.IfExp):
+            return Call("choose", tuple(map(self.condition, (node.test, node.body, node.orelse))), TRUTH)
+        return super().condition(node)
+
+    def power(self, node: ast.BinOp, base: Expression, exponent: Expression) -> Expression:
+        """``base ** exponent``, of any base."""
+        if isinstance(exponent, Number) and exponent.type == INT and 1 <= exponent.value <= LARGEST_POWER:
+            return product(real(base), int(exponent.value))
+        return super().power(node, base, exponent)
+
+    def call(self, node: ast.Call) -> Expression:
+        """What kernels may call, and compiled parts of the stepper."""
+        function = self.value_of(node.func)
+        if isinstance(function, Dispatcher):
+            return self.apply(node, function.py_func, list(map(self.number, node.args)))
+        if function is compiled.pointer:
+            return self.number(node.args[0])
+        if function is compiled.shifted:
+            return Binary("+", self.number(node.args[0]), self.whole(node.args[1]), ARRAY)
+        if function in BY_NUMBER:
+            name, kind = BY_NUMBER[function]
+            return Apply(name, tuple(map(self.number, node.args)), kind)
+        if function in MORE:
+            return Call(MORE[function], tuple(real(self.number(one)) for one in node.args), REAL)
+        return super().call(node)
+
+    def apply(self, node: ast.Call, function: Callable[..., Any], arguments: list[Expression]) -> Expression:
+        """A call of a function of the program, with arguments of any type."""
+        name = function.__name__
+        if name not in self.found:
+            self.read_function(function, tuple(one.type for one in arguments))
+        wanted = self.found[name].parameters.values()
+        given = tuple(self.converted(node, one, kind) for one, kind in zip(arguments, wanted, strict=True))
+        return Apply(name, given, self.found[name].result)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A run over samples in parts: its variables as ``fields``, what comes ``before``, and a sample up to and after.
+
+    ``result`` is the type of what the run answers.
+    """
+
+    fields: list[str]
+    before: list[str]
+    upto: list[str]
+    after: list[str]
+    result: str
+
+
+class StepperPrinter(CPrinter):
+    """C99 of a stepper, in double precision; ``rings`` are arrays with one number a sample, by function."""
+
+    def __init__(self, functions: Iterable[Function], prefix: str, rings: dict[str, set[str]] | None = None):
+        super().__init__(functions, prefix)
+        self.functions |= {name: name for name in ("call_kernel", "call_actuator", "call_rate")}
+        self.rings, self.ring = rings or {}, set[str]()
+        self.structures: dict[str, str] = {}
+
+    def function(self, function: Function) -> str:
+        """The definition of ``function``."""
+        self.ring = self.rings.get(function.name, set())
+        return super().function(function)
+
+    def opened(self, function: Function, variable: str, output: str) -> Opened:
+        """``function`` in parts: its loop over ``variable`` is cut behind the assignment to a cell of ``output``."""
+        self.ring, self.types = self.rings.get(function.name, set()), {}
+        own = {**function.parameters, **function.variables, variable: "int"}
+        fields = safe_names(own, self.reserved | {name.lower() for name in self.functions.values()})
+        place = next(i for i, step in enumerate(function.body) if isinstance(step, For) and step.variable == variable)
+        inside = function.body[place]
+        assert isinstance(inside, For)
+        cut = 1 + next(
+            i
+            for i, step in enumerate(inside.body)
+            if isinstance(step, Assign) and isinstance(step.target, Cell) and step.target.array == output
+        )
+        known = {name: f"m->{safe}" for name, safe in fields.items()}
+        blocks = function.body[:place], inside.body[:cut], (*inside.body[cut:], *function.body[place + 1 :])
+        before, upto, after = (self.lines(Function(function.name, {}, {}, block), known) for block in blocks)
+        declared = [f"{self.declared(kind, fields[name])};" for name, kind in own.items()]
+        return Opened(declared, before, upto, after, self.declared(function.result, ""))
+
+    def definitions(self) -> list[str]:
+        """The structures that were used."""
+        found = []
+        for kind, name in self.structures.items():
+            inside = " ".join(f"{self.declared(one, f'f{i}')};" for i, one in enumerate(items(kind)))
+            found.append(f"typedef struct {{ {inside} }} {name};")
+        return found
+
+    def declared(self, kind: str, name: str, written: bool = True) -> str:
+        """A variable, an argument or a function of one ``kind``."""
+        if items(kind):
+            self.structures.setdefault(kind, f"several_{len(self.structures) + 1}")
+        told = self.structures.get(kind) or KINDS[kind]
+        return f"{told}{'' if told.endswith('*') else ' '}{name}"
+
+    def literal(self, one: Number) -> str:
+        """A constant, which may be infinite."""
+        if math.isinf(one.value):
+            return "HUGE_VAL" if one.value > 0 else "-HUGE_VAL"
+        return str(one.value) if one.type == TRUTH else super().literal(one)
+
+    def expression(self, one: Expression, outside: int = 0, right: bool = False) -> str:
+        """``one`` as text."""
+        if isinstance(one, Several):
+            return f"({self.declared(one.type, '').strip()}){{{', '.join(map(self.expression, one.items))}}}"
+        if isinstance(one, Item):
+            return f"{self.expression(one.of)}.f{one.place}"
+        if isinstance(one, Cell):
+            array = self.names[one.array] if isinstance(one.array, str) else self.expression(one.array)
+            place = self.index(one.index)
+            return f"{array}[({place}) % {RING}]" if one.array in self.ring else f"{array}[{place}]"
+        if isinstance(one, Binary) and one.operator in ("==", "!=") and one.left.type == TRUTH:
+            return f"(({self.expression(one.left)}) {one.operator} ({self.expression(one.right)}))"
+        return super().expression(one, outside, right)
+
+    def statement(self, step: Statement) -> list[str]:
+        """One statement."""
+        if isinstance(step, Return) and step.value is None:
+            return ["return;"]
+        if isinstance(step, Leave):
+            return [f"{step.how};"]
+        if isinstance(step, Do):
+            return [f"{self.expression(step.call)};"]
+        if isinstance(step, While):
+            return [f"while ({self.expression(step.condition)}) {{", *self.block(step.body), "}"]
+        return super().statement(step)
 
 
 @dataclass(frozen=True)
@@ -86,7 +462,7 @@ def _stepper(states: int, ring: int) -> Program:
     """The stepper of an axis with so many ``states``: driven by a command and a force, no law, nothing that varies."""
     sizes = {"y.size": states, "reference.size": ring, "push.size": ring, "noise.size": 0, "slots.size": 0}
     fixed = {"law": 0, **sizes, "motor_rows.shape[0]": 0, "gains.shape[0]": 1}
-    return read_stepper(hold_loop.run, TYPES, fixed)
+    return read_stepper(hold_loop.run, STEPPER_TYPES, fixed)
 
 
 def _longest_wait(axis: Axis, plant: Plant) -> int:

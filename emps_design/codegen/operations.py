@@ -8,9 +8,7 @@ from itertools import zip_longest
 from operator import eq, ge, gt, le, lt, ne
 from typing import Any
 
-from emps_design.codegen.ahead import Ahead
-from emps_design.codegen.block import Block
-from emps_design.codegen.printer import parts
+from emps_design.codegen.block import Ahead, Block
 from emps_design.codegen.program import (
     REAL,
     Apply,
@@ -25,6 +23,7 @@ from emps_design.codegen.program import (
     Number,
     Program,
     Unary,
+    parts,
 )
 
 COMPARISONS = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq, "!=": ne}

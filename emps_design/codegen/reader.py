@@ -2,22 +2,31 @@
 
 A kernel is plain Python of numbers: arithmetic, comparisons, ``if``, ``for`` over ``range``, local variables, cells of
 its arrays, ``math``, ``abs``, ``min``, ``max``, functions of its own file. Anything else is refused in one line.
+
+Read expressions of a kernel's Python source: arithmetic, comparisons, cells, ``math`` and functions of the file.
 """
 
 from __future__ import annotations
 
 import ast
+import builtins
 import inspect
+import math
 import textwrap
 from collections.abc import Callable, Iterable
+from functools import cached_property
+from types import FunctionType
 from typing import Any
 
-from emps_design.codegen.expressions import ExpressionReader, real
 from emps_design.codegen.program import (
     ARRAY,
     INT,
     REAL,
+    TRUTH,
+    Apply,
     Assign,
+    Binary,
+    Call,
     Cell,
     Expression,
     For,
@@ -28,8 +37,238 @@ from emps_design.codegen.program import (
     Program,
     Return,
     Statement,
+    Unary,
 )
 from emps_design.errors import InputError
+
+MATH = {
+    getattr(math, name): name
+    for name in ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "exp", "log", "fabs", "floor", "pow")
+}
+OPERATORS: dict[type, str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.Pow: "**",
+    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=",
+    ast.And: "and", ast.Or: "or",
+}  # fmt: skip
+LARGEST_POWER = 8  # a whole power is written as products, as the compiler of the simulation does
+
+
+class ExpressionReader:
+    """Reads the expressions of one function, ``tree``; ``found`` and ``calls`` are filled on the way."""
+
+    def __init__(
+        self, function: Any, tree: ast.FunctionDef, types: tuple[str, ...], found: Any, calls: Any, above: Any
+    ):
+        self.function, self.tree, self.found, self.calls, self.above = function, tree, found, calls, above
+        outside = inspect.getclosurevars(function).nonlocals
+        self.outside = {**vars(builtins), **function.__globals__, **outside}
+        arguments = tree.args
+        names = [argument.arg for argument in arguments.args]
+        if arguments.vararg or arguments.kwarg or arguments.kwonlyargs or arguments.defaults:
+            self.refuse(tree, "an argument with a default or a star")
+        if len(names) != len(types):
+            self.refuse(tree, f"{len(names)} arguments", f"{len(types)}")
+        self.parameters = dict(zip(names, types, strict=True))
+        self.variables: dict[str, str] = {}
+        self.loops: list[str] = []  # variables of the loops around the place that is being read
+        self.counters: set[str] = set()
+
+    def refuse(self, node: ast.AST, what: str, expected: str = "arithmetic, if, for over range, math") -> Any:
+        """Raise :class:`InputError` with the place: ``what`` was found at ``node``."""
+        line = getattr(node, "lineno", 1) + self.function.__code__.co_firstlineno - 1
+        place = f"{self.function.__code__.co_filename}, line {line}, {self.tree.name}"
+        raise InputError(f"{place}: found {what}, which has no translation; expected {expected}")
+
+    def read_function(self, function: Any, types: tuple[str, ...]) -> None:
+        """Add ``function``, which is called with arguments of these ``types``, to ``found``."""
+        raise NotImplementedError
+
+    # Expressions.
+
+    def number(self, node: ast.expr) -> Expression:
+        """``node`` as an expression that has a number, or an array, for a value."""
+        if isinstance(node, ast.Constant):
+            return self.constant(node, node.value)
+        if isinstance(node, ast.Name):
+            own = self.parameters.get(node.id) or self.variables.get(node.id)
+            if node.id in self.loops:
+                return Name(node.id, INT)
+            if node.id in self.counters:
+                return self.refuse(node, f"{node.id} outside its loop", "a variable of its own")
+            if own or node.id in self.assigned:
+                return Name(node.id, own or INT)
+            return self.constant(node, self.value_of(node))
+        if isinstance(node, ast.Attribute):
+            return self.constant(node, self.value_of(node))
+        if isinstance(node, ast.Subscript):
+            array = node.value.id if isinstance(node.value, ast.Name) else ""
+            if self.parameters.get(array) != ARRAY or isinstance(node.slice, ast.Slice | ast.Tuple):
+                return self.refuse(node, "an index", "a cell of one of the kernel's arrays")
+            return Cell(array, self.whole(node.slice))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+            operand = self.number(node.operand)
+            if isinstance(node.op, ast.UAdd):
+                return operand
+            if isinstance(operand, Number):
+                return Number(-operand.value, operand.type)
+            return Unary("-", operand, operand.type)
+        if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
+            return self.arithmetic(node, OPERATORS[type(node.op)])
+        if isinstance(node, ast.Call):
+            return self.call(node)
+        if isinstance(node, ast.IfExp):
+            then, otherwise = self.number(node.body), self.number(node.orelse)
+            if REAL in (then.type, otherwise.type):
+                then, otherwise = real(then), real(otherwise)
+            self.calls.add("choose")
+            return Call("choose", (self.condition(node.test), then, otherwise), then.type)
+        return self.refuse(node, f"{type(node).__name__.lower()}")
+
+    def constant(self, node: ast.expr, value: Any) -> Expression:
+        """A constant: finite, a number."""
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return self.refuse(node, f"{value!r:.40}", "a number")
+        if isinstance(value, float) and not math.isfinite(value):
+            return self.refuse(node, f"{value}", "a finite number")
+        return Number(value, INT if isinstance(value, int) else REAL)
+
+    def arithmetic(self, node: ast.BinOp, operator: str) -> Expression:
+        """``left operator right``."""
+        left, right = self.number(node.left), self.number(node.right)
+        if operator == "**":
+            return self.power(node, left, right)
+        if operator == "%":
+            if left.type != INT or right.type != INT:
+                return self.refuse(node, "a remainder of real numbers", "whole ones")
+            self.calls.add("modulo")
+            return Call("modulo", (left, right), INT)
+        if operator == "/" or REAL in (left.type, right.type):
+            return Binary(operator, real(left), real(right), REAL)
+        return Binary(operator, left, right, INT)
+
+    def power(self, node: ast.BinOp, base: Expression, exponent: Expression) -> Expression:
+        """``base ** exponent``: a small whole power as products."""
+        if isinstance(exponent, Number) and exponent.type == INT:
+            if not 1 <= exponent.value <= LARGEST_POWER or not isinstance(base, Name | Cell):
+                return self.refuse(
+                    node, "a whole power", f"one from 1 to {LARGEST_POWER}, of a variable; or a real exponent"
+                )
+            return product(real(base), int(exponent.value))
+        self.calls.add("pow")
+        return Call("pow", (real(base), real(exponent)), REAL)
+
+    def call(self, node: ast.Call) -> Expression:
+        """A call of ``math``, ``abs``, ``min``, ``max``, a conversion, or a function of the file."""
+        function = self.value_of(node.func)
+        if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
+            return self.refuse(node, "arguments by name or with a star", "plain ones")
+        arguments = [self.number(argument) for argument in node.args]
+        if function is float:
+            return real(arguments[0])
+        if function is int:
+            if arguments[0].type == INT:
+                return arguments[0]
+            self.calls.add("int")
+            return Call("int", (arguments[0],), INT)
+        if function in (min, max) and len(arguments) >= 2:
+            kind = INT if all(one.type == INT for one in arguments) else REAL
+            name = function.__name__ if kind == REAL else f"{function.__name__}_int"
+            self.calls.add(name)
+            result = arguments[0] if kind == INT else real(arguments[0])
+            for one in arguments[1:]:
+                result = Call(name, (result, one if kind == INT else real(one)), kind)
+            return result
+        if function is abs or function in MATH:
+            name = "fabs" if function is abs else MATH[function]
+            if function is abs and arguments[0].type == INT:
+                return self.refuse(node, "abs of a whole number", "of a real one")
+            self.calls.add(name)
+            done = Call(name, tuple(map(real, arguments)), REAL)
+            if name != "floor":
+                return done
+            self.calls.add("int")
+            return Call("int", (done,), INT)
+        if isinstance(function, FunctionType):
+            return self.apply(node, function, arguments)
+        return self.refuse(node, f"a call of {ast.unparse(node.func)}", "math, abs, min, max or a function of the file")
+
+    def apply(self, node: ast.Call, function: FunctionType, arguments: list[Expression]) -> Expression:
+        """A call of a function of the file, which is read first."""
+        types = tuple(ARRAY if one.type == ARRAY else REAL for one in arguments)
+        if function.__name__ not in self.found:
+            self.read_function(function, types)
+        if tuple(self.found[function.__name__].parameters.values()) != types:
+            return self.refuse(node, f"{function.__name__} with other kinds of arguments", "the same in every call")
+        return Apply(function.__name__, tuple(one if one.type == ARRAY else real(one) for one in arguments))
+
+    def whole(self, node: ast.expr) -> Expression:
+        """``node`` as a whole number."""
+        found = self.number(node)
+        return found if found.type == INT else self.refuse(node, "a real number", "a whole one, or int() of it")
+
+    def condition(self, node: ast.expr) -> Expression:
+        """``node`` as a condition."""
+        if isinstance(node, ast.BoolOp):
+            first, *others = [self.condition(value) for value in node.values]
+            for other in others:
+                first = Binary(OPERATORS[type(node.op)], first, other, TRUTH)
+            return first
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            return Unary("not", self.condition(node.operand), TRUTH)
+        if isinstance(node, ast.Compare) and all(type(op) in OPERATORS for op in node.ops):
+            sides = [self.number(side) for side in (node.left, *node.comparators)]
+            both = zip(sides, node.ops, sides[1:], strict=False)
+            tests: list[Expression] = [self.compared(left, OPERATORS[type(op)], right) for left, op, right in both]
+            found = tests[0]
+            for test in tests[1:]:
+                found = Binary("and", found, test, TRUTH)
+            return found
+        return self.refuse(node, "a condition that is not a comparison", "one such as x > 0.0")
+
+    def compared(self, left: Expression, operator: str, right: Expression) -> Expression:
+        """A comparison of numbers of one kind."""
+        if REAL in (left.type, right.type):
+            left, right = real(left), real(right)
+        return Binary(operator, left, right, TRUTH)
+
+    # Names.
+
+    @cached_property
+    def assigned(self) -> set[str]:
+        """Names that the function assigns to."""
+        names = [node for node in ast.walk(self.tree) if isinstance(node, ast.Name)]
+        return {node.id for node in names if isinstance(node.ctx, ast.Store)}
+
+    def value_of(self, node: ast.expr) -> Any:
+        """What a name of the file, or of a module it imports, stands for."""
+        if isinstance(node, ast.Name):
+            if node.id not in self.outside:
+                return self.refuse(node, f"the unknown name {node.id}")
+            return self.outside[node.id]
+        if isinstance(node, ast.Attribute):
+            return getattr(self.value_of(node.value), node.attr, None)
+        return self.refuse(node, type(node).__name__.lower())
+
+
+def real(one: Expression) -> Expression:
+    """``one`` as a real number: constants change their kind, whole variables are converted."""
+    if one.type != INT:
+        return one
+    if isinstance(one, Number):
+        return Number(float(one.value), REAL)
+    return Call("real", (one,), REAL)
+
+
+def product(base: Expression, exponent: int) -> Expression:
+    """``base ** exponent`` by squaring, the products in the order of the simulation's compiler."""
+    power, result = base, None
+    while exponent:
+        if exponent & 1:
+            result = power if result is None else Binary("*", result, power, REAL)
+        exponent >>= 1
+        power = Binary("*", power, power, REAL)
+    assert result is not None
+    return result
 
 
 def read_program(kernel: Callable[..., Any], parameters: Iterable[str]) -> Program:

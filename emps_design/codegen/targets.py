@@ -1,24 +1,231 @@
-"""The languages that a controller is written in: the files of each, by name."""
+"""The languages that a controller is written in: the files of each, by name.
+
+Where exported code comes from: the axis file with what its head says, and the commit of this package.
+
+What the templates of exported code say: the law, the axis, units, and the page that goes with the code.
+"""
 
 from __future__ import annotations
 
+import ast
+import hashlib
+import inspect
 import json
-from collections.abc import Callable
-from functools import partial
+import re
+import shutil
+import subprocess
+import textwrap
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from importlib import metadata
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
-from emps_design.codegen.ahead import Ahead
-from emps_design.codegen.block import Block
-from emps_design.codegen.c import functions_in_c
+import numpy as np
+
+from emps_design.axis.tables import field_in
+from emps_design.codegen import languages
+from emps_design.codegen.block import COMMAND, Ahead, Block
+from emps_design.codegen.languages import functions_in_c, functions_in_st, st_number
 from emps_design.codegen.operations import operations_of
-from emps_design.codegen.pages import Files, gain_names, said_of, template, with_page, words_of
-from emps_design.codegen.program import Program
-from emps_design.codegen.st import functions_in_st, st_number
-from emps_design.codegen.vectors import Vectors
+from emps_design.codegen.program import Program, safe_names
+from emps_design.codegen.vectors import MOTION, REST, TRAVEL, Vectors
 from emps_design.effects.effect import ADDED
+from emps_design.errors import one_line
+from emps_design.laws import leaves, unit_of
 from emps_design.laws.drives import drive_settings, gains_of
 
+LONGEST, DIGITS = 10, 12  # s of asking for the commit, and of what is said of it
+
+INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m", COMMAND: "V"}  # unit of what a law follows
+OPERATIONS = {"multiply": "products", "add": "sums and differences", "divide": "quotients", "compare": "comparisons",
+              "call": "calls of math.h"}  # fmt: skip
+Files = Mapping[str, str | bytes]  # by name
+EXERCISED = "in motion within the limit, in and out of the limit"
+LONGEST_NAME = 40
+# Lines behind the equations of a law that stands beside a feed-forward.
+BESIDE = (
+    "(q_ref[k], v_ref[k]: 0; q[k]: position less reference; u[k]: before feed-forward and limit)",
+    "command[k] = u[k] + feedforward(ahead_q[k], ahead_v[k], ahead_a[k]), within the limit",
+)
+WAITS = "; while that acts, i[k] = i[k-1]"
+CHARACTERS = 120  # of a line of a comment
+
 Printed = Callable[[Program, str], tuple[list[str], str]]  # definitions, and what the kernel is called there
+
+
+def origin_of(name: str, content: bytes) -> str:
+    """What a page says of the axis file ``name``: its SHA-256, and the comment that it begins with.
+
+    ``diagnose`` says there which record its numbers are of.
+
+    >>> origin_of("model.toml", b"# of a record\\nname = 'x'")[-13:]
+    ': of a record'
+    """
+    first = content.decode("utf-8", "replace").partition("\n")[0]
+    said = f": {first.lstrip('# ')}" if first.startswith("#") else ""
+    return one_line(f"{name}, SHA-256 {hashlib.sha256(content).hexdigest()}{said}")
+
+
+@lru_cache
+def commit() -> str:
+    """The commit of this package where it runs from its own repository, and whether it was changed since."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists() or shutil.which("git") is None:
+        return ""
+    found, changed = (_answer(root, *asked) for asked in (("rev-parse", "HEAD"), ("status", "-s", "-uno")))
+    return found[:DIGITS] + (", changed since" if changed else "")
+
+
+def _answer(root: Path, *asked: str) -> str:
+    """What git says; nothing where it fails."""
+    done = subprocess.run(["git", *asked], cwd=root, capture_output=True, text=True, timeout=LONGEST, check=False)
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def block_name(name: str) -> str:
+    """``name`` as an identifier that C and IEC 61131-3 take.
+
+    >>> block_name("emps2018-two-quadrant"), block_name("Achse 3 (Ü)"), block_name("double"), block_name("Move")
+    ('emps2018_two_quadrant', 'Achse_3', 'double_2', 'Move_2')
+    """
+    plain = re.sub("[^0-9A-Za-z]+", "_", name)[:LONGEST_NAME].strip("_") or "axis"
+    return safe_names([plain], languages.C_KEYWORDS | languages.ST_KEYWORDS)[plain]
+
+
+def hash_of(content: str | bytes) -> str:
+    """SHA-256 of what is written."""
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
+@lru_cache
+def template(name: str) -> Any:
+    """The template called ``name``."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False)
+    return environment.from_string((files("emps_design.codegen") / "templates" / name).read_text(encoding="utf-8"))
+
+
+def words_of(name: str, block: Block) -> dict[str, Any]:
+    """What every template may say."""
+    axis, law = block.axis, block.law
+    own, fields = block.parameters, block.kind.table.model_fields
+    said = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
+    if law.error_alone:
+        first, last = BESIDE
+        said = (*said, first, last + (WAITS if block.waits is not None else ""))
+    unit = axis.units.unit
+    parameters = [
+        f"{'.'.join(path)} = {value} {unit(unit_of(field))}".rstrip()
+        for path, value in leaves(own)
+        for field in [field_in(("controller", *path), block.kind.name) or fields.get(path[0])]
+    ]
+    return {
+        "name": name,
+        "macro": name.upper(),
+        "axis": comment(axis.name),
+        "kind": block.kind.name,
+        "label": comment(block.kind.label),
+        "source": comment(block.kind.source),
+        "version": metadata.version("emps-design"),
+        "commit": commit(),
+        "origin": comment(block.origin, 1000),
+        "period": repr(axis.sampling.period),
+        "equations": [comment(line, 1000) for line in said],
+        "parameters": list(map(comment, parameters)),
+        "memory": max(1, law.memory),
+        "memories": law.memory,
+        "inputs": 6 if block.ahead is not None else 3,
+        "ahead": None,
+        "waits": block.waits,
+        "feedforward": None if block.ahead is None else said_of(block.ahead),
+        "velocity_unit": unit("m/s"),
+        "acceleration_unit": unit("m/s^2"),
+        "mass_unit": unit("kg"),
+        "limit": repr(block.limit),
+        "observes": block.observes,
+        "exercised": f"motion of up to {TRAVEL:g} m, motion thirty times that" if block.observes else EXERCISED,
+        "late": axis.sampling.computation_delay,
+        "lag": axis.drive.current_time_constant,
+        "what": "observer of the external force" if block.observes else "controller",
+        "bounded": "" if block.observes else f", command limited to {block.limit!r} {unit('V')}",
+        "answer": "external force" if block.observes else "command",
+        "either_way": "" if block.observes else f", at most {block.limit!r} either way",
+        "output_unit": unit("N" if block.observes else "V"),
+        "follows": _followed(block),
+        "reference_unit": unit(INPUTS[law.follows]),
+        "position_unit": unit("m"),
+        "force_unit": unit("N"),
+        "command_unit": unit("V"),
+    }
+
+
+def _followed(block: Block) -> str:
+    """What the block is given to follow, in words."""
+    if block.observes:
+        return "the command that acted in the period that ends now"
+    return "the position of the reference" if block.law.error_alone else f"a {block.law.follows}"
+
+
+def comment(text: object, longest: int = CHARACTERS) -> str:
+    """``text`` as part of a comment or a page: one line, ASCII, nothing that ends a comment."""
+    plain = " ".join(str(text).split()).encode("ascii", "replace").decode()
+    for mark in ("*/", "/*", "*)", "(*", "`", "??"):
+        plain = plain.replace(mark, " ")
+    return plain if len(plain) <= longest else f"{plain[: longest - 3]}..."
+
+
+def gain_names(block: Block) -> list[str]:
+    """What the kernel's own file calls each of its gains: the constants it uses as their places."""
+    kernel = block.law.kernel
+    space, array, named = vars(inspect.getmodule(kernel)), list(block.program.kernel.parameters)[5], {}
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kernel)))):
+        if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == array:
+            place = space.get(node.slice.id) if isinstance(node.slice, ast.Name) else None
+            if isinstance(place, int) and isinstance(node.slice, ast.Name):
+                named[place] = node.slice.id.lower().replace("_", " ")
+    return [comment(named.get(place, "")) for place in range(len(block.law.gains))]
+
+
+def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: Any) -> Files:
+    """``made`` with the axis, the vectors, and a page that says what is there; ``more`` is for its template."""
+    made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
+    words = {**words_of(name, block), **more, "rows": vectors.q.size, "bound": single_precision(vectors)}
+    hashes = [(file, hash_of(text)) for file, text in made.items()]
+    words |= {"files": list(made), "hashes": hashes}
+    words["operations"] = ", ".join(f"{n} {OPERATIONS[kind]}" for kind, n in operations_of(block).items())
+    words["drives"] = drive_settings(block.axis, {} if block.observes else gains_of(block.axis))
+    return {**made, "README.md": template("README.md").render(words)}
+
+
+def single_precision(vectors: Vectors) -> str:
+    """What a page says of the bound of single precision."""
+    bound, unit = vectors.bound, vectors.block.axis.units.unit("N" if vectors.block.observes else "V")
+    held = bound[np.isfinite(bound)]
+    said = (
+        f"Here the largest is {bound[REST : REST + MOTION].max():.3g} {unit} in the first motion and "
+        f"{held.max(initial=0.0):.3g} {unit} in all."
+    )
+    if several := int(np.count_nonzero(vectors.undecided)):
+        said += (
+            f" At {several} of the samples rounding decides a comparison (a sign, a limit, a switch), and single "
+            "precision may go the other way. There, and as long as the memory holds what follows from it, the column "
+            f"single bounds both ways, the jump between them included, at most {bound[vectors.undecided].max():.3g} "
+            f"{unit}."
+        )
+    left = bound.size - held.size
+    return said + (f" {left} samples have none: a number there may leave what single precision holds." if left else "")
+
+
+def said_of(ahead: Ahead) -> dict[str, Any]:
+    """What a page says of a feed-forward."""
+    return {
+        "terms": [term.replace("_", " ") for term in ahead.feedforward.terms],
+        "wait": repr(ahead.feedforward.wait),
+        "reversal": repr(ahead.reversal) if ahead.reversal > 0.0 else "",
+    }
 
 
 def _sums(name: str, ahead: Ahead, printed: Printed) -> tuple[list[str], list[dict[str, Any]]]:

@@ -18,10 +18,9 @@ from emps_design.comanipulation.measures import Measures
 from emps_design.comanipulation.run import TaskRun, in_threads, run_many, run_task
 from emps_design.comanipulation.task import Task, fitted_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.response import impedance_error
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
-from emps_design.control.impedance.sampled import Clock, numbers, radius_of, sampled_loops
-from emps_design.control.loop.sampled_loop import MARGINAL
+from emps_design.control.impedance.sampled import Clock, impedance_error, numbers, radius_of, sampled_loops
+from emps_design.control.sampled import MARGINAL
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS
 from emps_design.progress import Progress

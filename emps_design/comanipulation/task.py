@@ -11,10 +11,16 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.response import relay_oscillations
 from emps_design.control.impedance.robustness import break_away, corner_errors, stacked
-from emps_design.control.impedance.sampled import Clock, Environment, numbers, sampled_loop, sampled_loops
-from emps_design.control.loop.sampled_loop import MARGINAL
+from emps_design.control.impedance.sampled import (
+    Clock,
+    Environment,
+    numbers,
+    relay_oscillations,
+    sampled_loop,
+    sampled_loops,
+)
+from emps_design.control.sampled import MARGINAL
 from emps_design.errors import InputError
 from emps_design.units import TURN
 

@@ -46,8 +46,8 @@ def feedback_cures(axis: Axis) -> list[dict[str, Any]]:
 
 def _filter(axis: Axis) -> dict[str, Any]:
     """The filter of the command that lets a velocity loop of ``axis`` go fastest."""
+    from emps_design.control.velocity.gains import own_filters, own_structure
     from emps_design.control.velocity.limits import suggest_filter
-    from emps_design.control.velocity.structure import own_filters, own_structure
 
     structure = own_structure(axis)
     found = suggest_filter(axis, PHASE_MARGIN_DEG, structure, own_filters(axis))
@@ -102,7 +102,7 @@ def largest_factor(axis: Axis, place: int) -> float:
     loops = _with_shares(axis, place)
 
     def stable(factor: float) -> bool:
-        from emps_design.control.loop.sampled_loop import axis_loop
+        from emps_design.control.sampled import axis_loop
 
         drive = {"force_gain": axis.drive.force_gain * factor, "back_emf": axis.drive.back_emf / factor}
         return all(axis_loop(one.replace(drive=drive)).stable for one in loops)

@@ -25,8 +25,7 @@ from emps_design.compensation.feedforward import (
     reversal_of,
     terms_of,
 )
-from emps_design.control.loop.nested import nested_loops
-from emps_design.control.loop.worst import worst_loop
+from emps_design.control.nested_loops import nested_loops, worst_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import law_of
 

@@ -11,11 +11,11 @@ if TYPE_CHECKING:
         ControllerMargins as ControllerMargins,
         controller_margins as controller_margins,
     )
-    from emps_design.control.force.design import (
+    from emps_design.control.force import (
         ForceLoopDesign as ForceLoopDesign,
         design_force_loop as design_force_loop,
     )
-    from emps_design.control.impedance.equivalence import (
+    from emps_design.control.impedance.law import (
         equivalent_impedance as equivalent_impedance,
         equivalent_loop as equivalent_loop,
     )
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
         recursion_poles as recursion_poles,
         sampled_loop as sampled_loop,
     )
-    from emps_design.control.plant.discretisation import sample_axis as sample_axis
+    from emps_design.control.discretisation import sample_axis as sample_axis
     from emps_design.control.velocity.design import (
         VelocityLoopDesign as VelocityLoopDesign,
         design_velocity_loop as design_velocity_loop,
     )
     from emps_design.control.velocity.retune import retune_velocity_loop as retune_velocity_loop
-    from emps_design.control.velocity.sensitivity import (
+    from emps_design.control.velocity.load_range import (
         identified_mismatch as identified_mismatch,
         margins_under_mismatch as margins_under_mismatch,
         relative_mismatch as relative_mismatch,

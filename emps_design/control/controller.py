@@ -18,24 +18,23 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.cases import Case, cases_of
-from emps_design.control.loop.continuous import ContinuousLoop, LawAt
-from emps_design.control.loop.margins import Margins, further_down, loop_margins
-from emps_design.control.loop.nested import (
+from emps_design.control.discretisation import SampledPlant, law_peaks, sample_axis
+from emps_design.control.margins import Margins, further_down, loop_margins
+from emps_design.control.nested_loops import (
     PLANT_INPUT,
     POSITION_ERROR,
+    ContinuousLoop,
+    LawAt,
     NestedLoop,
     at_plant_input,
     at_position_error,
+    loop_in_words,
+    worst_loop,
 )
-from emps_design.control.loop.sampled_loop import MARGINAL, SampledLoop, close
-from emps_design.control.loop.transfer import transfer
-from emps_design.control.loop.worst import loop_in_words, worst_loop
-from emps_design.control.plant.discretisation import SampledPlant, sample_axis
-from emps_design.control.plant.peaks import law_peaks
+from emps_design.control.sampled import MARGINAL, SampledLoop, close, transfer
 from emps_design.control.velocity.gains import MINUS_3_DB
-from emps_design.control.velocity.load_range import LoadRange
-from emps_design.control.velocity.sensitivity import relative_mismatch
+from emps_design.control.velocity.load_range import LoadRange, relative_mismatch
+from emps_design.control.verdict import Case, cases_of
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
 from emps_design.notebook import table

@@ -2,7 +2,7 @@
 
 What is asked for is one of an overshoot of the answer to a step of the position reference, a -3 dB bandwidth, and a
 stiffness, a step of force over the largest displacement that it makes. All are read from the linear loop that
-:func:`~emps_design.control.loop.sampled_loop.close` closes, the position loop in every n-th sample, without
+:func:`~emps_design.control.sampled.close` closes, the position loop in every n-th sample, without
 feed-forward: that changes what follows the reference, not the loop. Its errors are told for each feed-forward apart.
 """
 
@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis, Controller
-from emps_design.control.loop.nested import NestedLoop, nested_loops
-from emps_design.control.loop.sampled_loop import SampledLoop, axis_loop
-from emps_design.control.loop.steps import step_answer
+from emps_design.control.nested_loops import NestedLoop, nested_loops
+from emps_design.control.sampled import SampledLoop, axis_loop
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
-from emps_design.control.velocity.sampled import velocity_table
+from emps_design.control.velocity.sampled import step_answer, velocity_table
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library import cascade
 

@@ -7,20 +7,17 @@ from dataclasses import dataclass, replace
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.along_motion.route import diagnose_along_motion, too_slow
-from emps_design.discrepancy.checks.kept_closed import Confirming
-from emps_design.discrepancy.checks.long_records import beginnings, look_at_the_rest
-from emps_design.discrepancy.checks.preparation import Preparation, prepare
-from emps_design.discrepancy.explain.explanation import explain
+from emps_design.discrepancy.along_motion import diagnose_along_motion, too_slow
+from emps_design.discrepancy.beam_search import UNFINISHED, past_the_kind, search_or_kind
+from emps_design.discrepancy.calibration import Outcome, calibrate, first_noise
+from emps_design.discrepancy.closest import closest_of
+from emps_design.discrepancy.explanation import explain
+from emps_design.discrepancy.long_records import beginnings, look_at_the_rest
+from emps_design.discrepancy.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
+from emps_design.discrepancy.preparation import Confirming, Preparation, prepare
 from emps_design.discrepancy.result import Diagnosis
-from emps_design.discrepancy.search.beam_search import UNFINISHED
-from emps_design.discrepancy.search.beside_force import past_the_kind, search_or_kind
-from emps_design.discrepancy.search.calibration import calibrate, first_noise
-from emps_design.discrepancy.search.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
-from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.discrepancy.search.suspects import at_first_sight, told
-from emps_design.discrepancy.validation.closest import closest_of
-from emps_design.discrepancy.validation.verdict import Validation, validate
+from emps_design.discrepancy.starts import at_first_sight, told
+from emps_design.discrepancy.verdict import Validation, validate
 from emps_design.effects import Effect, known_effects
 from emps_design.errors import EmpsError, RecordError, SimulationError
 from emps_design.laws import NONE

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from emps_design.axis import Axis
-from emps_design.discrepancy.experiment.discrimination import Experiment
-from emps_design.discrepancy.explain.extent import EVERYWHERE
-from emps_design.discrepancy.explain.residual_views import View
-from emps_design.discrepancy.explain.unexplained import FROM_THE_LAW, like
-from emps_design.discrepancy.search.noise_floor import Floor
-from emps_design.discrepancy.validation.closest import Closest
-from emps_design.discrepancy.validation.gap import Gap, Prediction
-from emps_design.frequency_response.comparison import Comparison
+from emps_design.discrepancy.closest import Closest
+from emps_design.discrepancy.experiment import Experiment
+from emps_design.discrepancy.gap import Gap, Prediction
+from emps_design.discrepancy.noise_floor import Floor
+from emps_design.discrepancy.residual_views import EVERYWHERE, View
+from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
+from emps_design.frequency_response.coupling import Comparison
 from emps_design.notebook import table
 from emps_design.quantities import display_unit, inside, rounded
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     )
     from emps_design.frequency_response.response import FrequencyResponse as FrequencyResponse
     from emps_design.frequency_response.retune import retune_on_response as retune_on_response
-    from emps_design.frequency_response.tables import (
+    from emps_design.frequency_response.response import (
         read_response as read_response,
         write_response as write_response,
     )

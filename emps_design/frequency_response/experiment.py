@@ -7,25 +7,40 @@ reference, for that follows from the loop of the axis's model, and so do all pea
 keeps the velocity from changing sign and every limit. Expected deviations follow from the noise assumed: white force
 noise and the encoder's quantisation.
 Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 5.
+
+What an experiment must stay within, and whether what is asked of one can be meant at all.
+
+An experiment run once on the nonlinear axis before it runs on the machine: what it reaches, and how much to keep.
+
+The linear loop says what the excitation adds to steady motion. It knows neither the ramps of the passes, nor what comes
+and goes between two steps, nor a controller whose own share of the command meets its limit before the sum does.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.sampled_loop import axis_loop
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.errors import InputError, UnstableError
-from emps_design.frequency_response.limits import PLACES, ROOM, Limits, check_asked, check_length
-from emps_design.frequency_response.quantisation import repeated_share
-from emps_design.frequency_response.rehearsal import Bound, Signals, rehearsed
-from emps_design.frequency_response.waves import BLOCKS, MultiSine, SteppedSine, Wave
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.sampled import axis_loop
+from emps_design.errors import InputError, SimulationError, UnstableError
+from emps_design.frequency_response.signals import repeated_share
+from emps_design.frequency_response.waves import BLOCKS, GROUP, MultiSine, SteppedSine, Wave
 from emps_design.laws.estimators import estimator_response
+from emps_design.records.layout import LONGEST
+from emps_design.simulation import Plant
+
+PLACES = ("command", "reference")
+ROOM = 0.9  # share of a limit that is used
+
+TRIES = 12
+SHRINKS, STEP = 0.98, 0.5  # of what the linear loop says has to go, and where it cannot say
 
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency
 TURNING = 0.8  # share of the steady speed that the excitation may take
@@ -34,6 +49,149 @@ SLOWER = 0.5  # share of the speed of the passes that may go for the encoder's s
 TRIED = 2000  # speeds
 PERIODS = (2, 4, 8, 16, 32)  # over which the steps are not to repeat
 NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What must not be exceeded, None: no limit. ``stroke`` [m], ``speed`` [m/s], ``force`` [N], ``jerk`` [m/s^3]."""
+
+    stroke: float
+    speed: float | None = None
+    force: float | None = None
+    jerk: float | None = None
+
+
+def check_asked(
+    limits: Limits, speed: float, low: float, high: float, resolution: float, nyquist: float, at: str, steps: int | None
+) -> None:
+    """Raise :class:`InputError` for a place, a band, a number of steps, a speed or a limit that cannot be meant.
+
+    >>> check_asked(Limits(0.5, force=float("nan")), 0.05, 2.0, 100.0, 0.5, 500.0, "command", None)
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: force limit: found nan, expected a positive number
+    """
+    if at not in PLACES:
+        raise InputError(f"place of the excitation: found {at!r}, expected {' or '.join(PLACES)}")
+    if not 0.0 < low < high:
+        raise InputError(f"frequencies: found {low:g} to {high:g} Hz, expected a rising pair above 0")
+    if high >= nyquist:
+        raise InputError(f"frequency: found {high:g} Hz, expected less than the Nyquist frequency, {nyquist:g} Hz")
+    if not 0.0 < resolution <= 0.5 * (high - low):
+        raise InputError(f"resolution: found {resolution:g} Hz, expected more than 0 and several lines in the band")
+    if steps is not None and steps < GROUP:
+        raise InputError(f"steps: found {steps}, expected at least {GROUP} lines")
+    bounds = {one.name if one.name == "stroke" else f"{one.name} limit": getattr(limits, one.name)
+              for one in fields(limits)}  # fmt: skip
+    for name, value in {"speed": speed, **bounds}.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise InputError(f"{name}: found {value:g}, expected a positive number")
+    if limits.speed is not None and speed >= ROOM * limits.speed:
+        raise InputError(f"speed: found passes at {speed:g} m/s, expected less than the limit of {limits.speed:g} m/s")
+
+
+def check_length(samples: float, period: float) -> None:
+    """Raise :class:`InputError` for an experiment of more ``samples`` than a record may have.
+
+    >>> check_length(6e6, 1e-3)
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: stroke: found an experiment of 6e+03 s, expected at most 5e+03 s (5000000 samples): \
+take a shorter stroke, a higher speed, or fewer passes
+    """
+    if samples > LONGEST:
+        raise InputError(
+            f"stroke: found an experiment of {samples * period:.3g} s, expected at most {LONGEST * period:.3g} s "
+            f"({LONGEST} samples): take a shorter stroke, a higher speed, or fewer passes"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What the loop is given: ``q_ref`` (n,) [m], ``excitation`` (n,) [V], and ``excited`` (n,) where one of them is.
+
+    ``passes`` (n,) [m/s] is the velocity of the passes alone: an excitation that the reference carries is not in it.
+    """
+
+    q_ref: np.ndarray
+    excitation: np.ndarray
+    excited: np.ndarray
+    passes: np.ndarray
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A ``limit`` of what is ``reached``; ``name`` and ``unit`` are for words."""
+
+    name: str
+    limit: float
+    reached: Callable[[Reached], float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Largest velocity [m/s] and command [V] of a simulated experiment, its slowest excited pass, travel [m].
+
+    ``own`` [V] is the controller's share of the command, which a drive limits before anything is added.
+    """
+
+    velocity: float
+    slowest: float
+    command: float
+    own: float
+    travel: float
+
+
+def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], Signals]) -> tuple[float, Reached, str]:
+    """The largest share of the excitation whose ``signals(share)`` stay within ``bounds``; what it reaches.
+
+    Also the name of the bound that took some of it away, "" where all may stay. Raises :class:`InputError` where the
+    passes alone do not stay within the bounds.
+    """
+    alone = _reached(axis, signals(0.0))
+    if alone is None:
+        raise InputError("speed: the passes alone cannot be simulated, expected a lower speed")
+    for bound in bounds:
+        if bound.reached(alone) > bound.limit:
+            raise InputError(
+                f"{bound.name}: the passes alone reach {bound.reached(alone):.4g} {bound.unit}, expected at most "
+                f"{bound.limit:.4g} {bound.unit}: a lower speed, or more stroke to run to it"
+            )
+    share, bound_by = 1.0, ""
+    for _ in range(TRIES):
+        found = _reached(axis, signals(share))
+        over = bounds[:1] if found is None else [bound for bound in bounds if bound.reached(found) > bound.limit]
+        if found is not None and not over:
+            return share, found, bound_by
+        bound_by = over[0].name
+        if found is None or max(found.command, found.own) >= axis.drive.command_limit * (1.0 - 1e-9):
+            share *= STEP  # beyond its limit nothing tells how much too large a command is
+        else:
+            share *= SHRINKS * min(_left_for(bound, alone, found) for bound in over)
+    raise InputError(f"{bound_by}: found no excitation that stays within it, expected a lower speed")
+
+
+def _left_for(bound: Bound, alone: Reached, found: Reached) -> float:
+    """The share of an excitation that ``bound`` leaves, from what the passes reach without it and with it."""
+    still = bound.reached(alone)
+    return (bound.limit - still) / (bound.reached(found) - still)
+
+
+def _reached(axis: Axis, signals: Signals) -> Reached | None:
+    """What is reached in closed loop; None where the simulation cannot go on."""
+    try:
+        run = Plant.of(axis).closed_loop(signals.q_ref, voltage_noise=signals.excitation)
+    except SimulationError:
+        return None
+    forwards = (run.v * np.sign(signals.passes))[signals.excited]
+    return Reached(
+        velocity=float(np.abs(run.v).max()),
+        slowest=float(forwards.min()) if forwards.size else 0.0,
+        command=float(np.abs(run.u).max()),
+        own=float(np.abs(run.u - signals.excitation).max()),
+        travel=float(np.ptp(run.position)),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,8 @@
 """Gains of the velocity loop with which the loop on the measured plant has the crossover and phase margin asked for.
 
 The same two equations as for the model, :mod:`emps_design.control.velocity.retune`, with the measured response in them.
+
+Whether a filter of the command pays on a measured plant: found on the masses that fit it, tried on the data.
 """
 
 from __future__ import annotations
@@ -12,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import filter_response
+from emps_design.control.discretisation import filter_response
 from emps_design.control.velocity.design import VelocityLoopDesign
+from emps_design.control.velocity.gains import PLACES, Structure, own_filters, own_structure
+from emps_design.control.velocity.limits import suggest_filter
 from emps_design.control.velocity.retune import retuned_gains
 from emps_design.control.velocity.specification import check_specification
-from emps_design.control.velocity.structure import PLACES, Structure, own_filters, own_structure
 from emps_design.errors import InputError, SpecificationError
+from emps_design.frequency_response.coupling import Comparison
 from emps_design.frequency_response.loop import measured_margins, over_limits
 from emps_design.frequency_response.measured_plant import MeasuredPlant
 from emps_design.frequency_response.response import FrequencyResponse
@@ -26,6 +30,9 @@ from emps_design.laws.library.cascade import Filter
 
 NEAREST = 60  # slower crossovers that are tried for the nearest that works
 MET = 1e-2  # relative deviation of crossover and phase margin
+
+SIDES = ("without", "with_equal_margins", "with")
+MARGINS = ("phase_margin_deg", "gain_margin", "disk_margin")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,3 +123,45 @@ def retune_on_response(
         f"{lacks}; {words}",
         {} if nearest is None else {"crossover": nearest, "phase_margin_deg": phase_margin_deg, **(limits or {})},
     )
+
+
+def suggest_filter_on_response(
+    response: FrequencyResponse,
+    axis: Axis,
+    phase_margin_deg: float,
+    structure: Structure,
+    filters: tuple[Filter, ...],
+    velocity: float = 0.1,
+) -> dict[str, Any]:
+    """Return what :func:`suggest_filter` does on the masses that fit ``response``, each side tried on the data.
+
+    ``measured`` of a side has ``stable`` and the margins of its gains on the data. A filter with which the loop is
+    unstable there is not suggested.
+
+    >>> import numpy as np
+    >>> from emps_design.control.velocity.gains import PI
+    >>> from emps_design.frequency_response.coupling import axis_response
+    >>> from emps_design.machines import machine
+    >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
+    >>> axis, f = machine("emps2018").replace(effects=bent), np.geomspace(1.0, 400.0, 300)
+    >>> found = suggest_filter_on_response(
+    ...     FrequencyResponse.of(f, axis_response(axis, f), np.full(300, 0.01)), machine("emps2018"), 50.0, PI, ()
+    ... )
+    >>> found["filter"]["kind"], abs(found["with"]["measured"]["phase_margin_deg"] - 50.0) < 2.0
+    ('notch', True)
+    """
+    model = Comparison(response, axis).chain.on(axis)
+    found = suggest_filter(model, phase_margin_deg, structure, filters, velocity)
+    for name in SIDES:
+        side = found[name]
+        if side is None or side["crossover"] is None:
+            continue
+        added = () if name == "without" else (Filter(**found["filter"]),)
+        design = VelocityLoopDesign(
+            axis, side["k_v1"], side["t_v"], {}, velocity=velocity, structure=structure, filters=(*filters, *added)
+        )
+        on_data = measured_margins(response, design.loop_axis, draws=0)
+        side["measured"] = {"stable": on_data.stable, **{key: on_data.values[key] for key in MARGINS}}
+    if found["filter"] is not None and not found["with"]["measured"]["stable"]:
+        found |= {"filter": None, "with_equal_margins": None, "with": None}
+    return {**found, "model": f"the masses that fit {response.name}"}

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         paper_chain as paper_chain,
         report_chain as report_chain,
     )
-    from emps_design.identification.cutoff import chosen_cutoff as chosen_cutoff
+    from emps_design.identification.inverse_model import chosen_cutoff as chosen_cutoff
     from emps_design.identification.observation import (
         Observation as Observation,
         observe as observe,

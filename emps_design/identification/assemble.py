@@ -1,29 +1,205 @@
-"""Put statistics beside a fit, and say which parameters the record does not determine."""
+"""Put statistics beside a fit, and say which parameters the record does not determine.
+
+What the cut-off does to an estimate: the same at half and at twice of it.
+
+Noise of the encoder, a delay that the model lacks, rests that the filter spreads: each moves the estimate with the
+cut-off, and no statistics of the residual at one cut-off see it. The estimates share most of their noise, so that the
+variance of what they differ by is the difference of their variances (J. A. Hausman, 1978); what is beyond that is
+added to the interval.
+
+Is what was identified possible, is it like the axis, and if not, what probably happened.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from emps_design.axis import Axis
 from emps_design.effects.terms import ANGLE, POWER
-from emps_design.identification.cutoff import LONGEST, first_part
+from emps_design.errors import InputError, RankError, RecordError
 from emps_design.identification.excitation import WEAK_RELIABILITY, follows, reliability, share_near_gaps
-from emps_design.identification.inverse_model import LeastSquares
+from emps_design.identification.inverse_model import LONGEST, LeastSquares, first_part
 from emps_design.identification.model import FRICTION
-from emps_design.identification.plausibility import implausible
 from emps_design.identification.problem import Problem
+from emps_design.identification.proposals import unexplained
 from emps_design.identification.result import Estimate, Identification
-from emps_design.identification.sensitivity import CutoffSensitivity
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run
-from emps_design.identification.unexplained import unexplained
+
+FACTORS = (0.5, 2.0)
+HIGHEST = 0.4  # of the sampling frequency, for a cut-off that is tried
+CHANCE = 2.0  # deviations by which two estimates of one thing may differ
+NEGLIGIBLE = 1e-3  # of the value
+ALIKE = 0.5  # of a deviation, of what two estimates differ by that have the same
+
+FAR = {"mass": 3.0, "viscous": 10.0, "coulomb": 10.0}  # times the axis's value, or a part of it
+DECADES = 0.15  # decades by which a power of ten may be missed
+# What a wrong unit of a column does to mass, viscous and Coulomb friction, in powers of its factor.
+UNITS = {
+    "u (or the force gain)": (1, 1, 1),
+    "q (and q_ref)": (-1, -1, 0),
+    "t": (2, 1, 0),
+}
+SOUGHT = tuple(FAR)
 
 LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)  # s by which a loop may follow its reference late
 MAY_BE_ZERO = ("constant_force", ANGLE.name, "viscous_difference")  # on a machine with nothing wrong
 OPEN = 0.5  # of the force: what may be nothing and may be as much is not determined
 LARGEST_NEAR_GAPS = 0.5  # share of what tells a friction parameter apart that may lie beside a rest
+
+
+class Estimated(NamedTuple):
+    """Parameters (p,), their deviations (p,), and what the encoder's noise is known to take from them (p,)."""
+
+    value: np.ndarray
+    std: np.ndarray
+    known: np.ndarray | float = 0.0
+
+
+@dataclass(frozen=True)
+class CutoffSensitivity:
+    """The parameters ``value`` (p,) at other ``cutoffs`` (tried,) [Hz]: ``tried`` (tried, p).
+
+    ``beyond_chance`` (p,) is how far they moved, less what chance and known noise do.
+    """
+
+    names: tuple[str, ...]
+    value: np.ndarray
+    cutoffs: tuple[float, ...]
+    tried: np.ndarray
+    beyond_chance: np.ndarray
+
+    @property
+    def relative(self) -> dict[str, float | None]:
+        """The contract's ``cutoff_sensitivity``: the largest change over the value; None of nothing."""
+        largest = np.max(np.abs(self.tried - self.value), axis=0, initial=0.0)
+        pairs = zip(self.names, largest.tolist(), np.abs(self.value).tolist(), strict=True)
+        return {name: change / value if value > 0.0 else None for name, change, value in pairs}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: the estimates at the other cut-offs."""
+        return {"cutoff_hz": list(self.cutoffs), **dict(zip(self.names, self.tried.T.tolist(), strict=True))}
+
+
+def cutoff_sensitivity(
+    names: tuple[str, ...],
+    own: Estimated,
+    cutoff: float,
+    period: float,
+    estimate: Callable[[float], Estimated],
+) -> CutoffSensitivity:
+    """Estimate again at half and twice the ``cutoff`` [Hz], where the record, sampled with ``period`` [s], allows it.
+
+    At twice of it noise is much more, and what it is known to do there says nothing; at half of it there is hardly any:
+    what the estimate is known to be off by is believed as far as that one allows.
+
+    >>> own = Estimated(np.array([2.0]), np.array([0.1]))
+    >>> def estimate(cutoff):
+    ...     return Estimated(np.array([2.0 - 0.01 * cutoff]), np.array([0.1]))
+    >>> found = cutoff_sensitivity(("mass",), own, 10.0, 1e-3, estimate)
+    >>> round(found.relative["mass"], 6), found.beyond_chance.round(3).tolist()
+    (0.1, [0.173])
+    """
+    cutoffs, tried = [], []
+    most_known = np.abs(own.known) + np.zeros(len(names))
+    moved = np.zeros(len(names))
+    for factor in FACTORS:
+        other = min(factor * cutoff, HIGHEST / period)
+        if factor > 1.0 and other < 1.2 * cutoff:
+            continue
+        try:
+            found = estimate(other)
+        except (RecordError, RankError, InputError, np.linalg.LinAlgError):
+            continue  # too little of the record is away from rest at that cut-off
+        cutoffs.append(other)
+        tried.append(found.value)
+        shift = found.value - own.value
+        chance = CHANCE * np.maximum(np.sqrt(np.abs(found.std**2 - own.std**2)), ALIKE * own.std)
+        if factor < 1.0:
+            most_known = np.minimum(most_known, np.abs(shift) + chance)
+        else:
+            expected = own.known - found.known
+            shift = shift - np.clip(shift, np.minimum(expected, 0.0), np.maximum(expected, 0.0))
+        moved = np.maximum(moved, np.sqrt(np.maximum(shift**2 - chance**2, 0.0)))
+    moved = np.maximum(moved, most_known)
+    moved = np.where(moved > NEGLIGIBLE * np.abs(own.value), moved, 0.0)
+    return CutoffSensitivity(names, own.value, tuple(cutoffs), np.reshape(tried, (len(tried), len(names))), moved)
+
+
+def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
+    """One line for what cannot be, or is far from ``axis``, and what it looks like; nothing for a plausible result.
+
+    ``values`` are identified parameters by name, SI; of two directions the mean counts.
+
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2019")
+    >>> implausible({"mass": 95.0, "viscous": 200.0, "coulomb": 20.0}, axis)
+    []
+    >>> implausible({"mass": -95.0, "viscous": -200.0, "coulomb": -20.0}, axis)[0].split(": ")[0]
+    'no axis has mass -95 kg, viscous friction -200 N/(m/s), Coulomb friction -20 N'
+    >>> implausible({"mass": 0.095, "viscous": 0.2, "coulomb": 20.0}, axis)[0].split("; ")[1]
+    'this is what q (and q_ref) in another unit gives, 1000 times too large: look at the unit of that column'
+    """
+    found = {name: value for name in SOUGHT if (value := _mean(values, name)) is not None}
+    negative = [name for name, value in found.items() if value < 0]
+    if negative:
+        return [f"no axis has {_listed(found, negative)}: {_why_negative(found, negative)}"]
+    own = {name: float(getattr(axis.mechanics, name)) for name in found}
+    shares = {name: value / own[name] for name, value in found.items() if own[name] > 0 and value > 0}
+    far = [name for name, share in shares.items() if not 1.0 / FAR[name] < share < FAR[name]]
+    if not far:
+        return []
+    beside = ", ".join(f"{_one(name, found[name])} where {axis.name} says {own[name]:.4g}" for name in far)
+    unit = _unit(shares)
+    if unit is None:
+        why = "another machine or payload, a wrong force gain, or a wrong unit: look at force_gain and the columns"
+    else:
+        column, factor = unit
+        size = f"{factor:g} times too large" if factor > 1 else f"{1 / factor:g} times too small"
+        why = f"this is what {column} in another unit gives, {size}: look at the unit of that column"
+    return [f"far from the axis: {beside}; {why}"]
+
+
+def _mean(values: Mapping[str, float], name: str) -> float | None:
+    own = [values[key] for key in (name, f"{name}_positive", f"{name}_negative") if key in values]
+    own = [value for value in own if math.isfinite(value)]
+    return sum(own) / len(own) if own else None
+
+
+def _why_negative(found: Mapping[str, float], negative: list[str]) -> str:
+    if "mass" in negative and all(found[name] < 0 for name in found):
+        return "the sign of u is probably flipped against q; turn one of the two columns round"
+    if "mass" in negative:
+        return "u and q probably do not belong together: look at the sign of u, the columns and their clock"
+    return "the record hardly determines it, or friction falls with speed: diagnose says more"
+
+
+def _unit(shares: Mapping[str, float]) -> tuple[str, float] | None:
+    """The column, and the factor by which it is too large, that explains ``shares`` of the axis's values."""
+    if len(shares) < len(SOUGHT):
+        return None
+    decades = [math.log10(shares[name]) for name in SOUGHT]
+    for column, powers in UNITS.items():
+        exponent = round(sum(d * p for d, p in zip(decades, powers, strict=True)) / sum(p * p for p in powers))
+        misses = [abs(d - p * exponent) for d, p in zip(decades, powers, strict=True)]
+        # Friction may differ a little from what the file says; the mass may not.
+        if exponent and misses[0] < DECADES and max(misses) < 2 * DECADES:
+            return column, 10.0**exponent
+    return None
+
+
+def _listed(found: Mapping[str, float], names: list[str]) -> str:
+    return ", ".join(_one(name, found[name]) for name in names)
+
+
+def _one(name: str, value: float) -> str:
+    word = {"mass": "mass", "viscous": "viscous friction", "coulomb": "Coulomb friction"}[name]
+    unit = {"mass": "kg", "viscous": "N/(m/s)", "coulomb": "N"}[name]
+    return f"{word} {value:.4g} {unit}"
 
 
 @dataclass(frozen=True)

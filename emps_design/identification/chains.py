@@ -9,20 +9,23 @@ import numpy as np
 
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RecordError
-from emps_design.identification.cutoff import chosen_cutoff
-from emps_design.identification.filtered import Filtered
 from emps_design.identification.filters import (
     DECIMATION,
+    REACH,
+    SLOW,
+    at_rest,
+    away_from,
     central_difference,
     decimate,
     decimated_rows,
     held_force,
+    known,
     low_pass,
     median_of_three,
     motion,
     share_of_nyquist,
 )
-from emps_design.identification.rests import REACH, SLOW, at_rest, away_from, known
+from emps_design.identification.inverse_model import Filtered, chosen_cutoff
 from emps_design.records import Record
 
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
@@ -131,7 +134,8 @@ def hold_chain(
 
     Rows near rest are left out: friction at rest is any force up to the break-away. So is an end at which the axis
     accelerates, beyond which the filters of motion and force go on differently.
-    ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.cutoff.chosen_cutoff` finds in the data.
+    ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.inverse_model.chosen_cutoff` finds in the
+    data.
     Raises :class:`RecordError` where fewer than ``fewest_rows`` are left.
     """
     if cutoff_hz is None:

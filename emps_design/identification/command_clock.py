@@ -16,7 +16,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.effects.terms import BENT, TERMS
-from emps_design.identification.known import filter_record
+from emps_design.identification.problem import filter_record
 from emps_design.identification.proposals import FEWEST_STROKES, POWERS, Strokes
 from emps_design.records import Record
 

@@ -14,18 +14,14 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError
-from emps_design.identification.assemble import Errors, assemble, residual_statistics
+from emps_design.identification.assemble import Errors, Estimated, assemble, cutoff_sensitivity, residual_statistics
 from emps_design.identification.chains import hold_chain
-from emps_design.identification.closed_loop import simulate
-from emps_design.identification.cutoff import first_part
-from emps_design.identification.encoder import error_of_steps
 from emps_design.identification.excitation import REFUSE, check_record
-from emps_design.identification.inverse_model import LeastSquares, least_squares, regression
-from emps_design.identification.known import known_part, notes
+from emps_design.identification.inverse_model import LeastSquares, first_part, least_squares, regression
 from emps_design.identification.model import Model
-from emps_design.identification.problem import Problem
+from emps_design.identification.output_error import error_of_steps, simulate
+from emps_design.identification.problem import Problem, known_part, notes
 from emps_design.identification.result import Identification
-from emps_design.identification.sensitivity import Estimated, cutoff_sensitivity
 from emps_design.identification.statistics import long_run
 from emps_design.laws import NONE
 from emps_design.records import Record

@@ -4,6 +4,13 @@ No derivative of a measured signal is taken, and the hold is in the simulation. 
 reference and position, so an error of the position is in the force as well, and counts once. What a slow force does to
 a carriage at rest is no force error of a moving one: rests are left out as in the ``hold`` chain, where anything else
 is in the record (Gauss-Newton with a line search).
+
+A record simulated again: closed loop, from its reference, with the parameters of a model.
+
+What the steps of the encoder alone do to an estimate, by simulation of the closed loop.
+
+At a constant speed the steps come too fast for the filters; while the axis starts and stops they do not. So they are in
+the motion just where the mass is told, which no statistics of a residual that is the same all along can see.
 """
 
 from __future__ import annotations
@@ -14,23 +21,30 @@ from dataclasses import replace
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.errors import AxisError, InputError, RankError, RecordError
-from emps_design.identification.assemble import Errors, assemble, residual_statistics
+from emps_design.errors import AxisError, EmpsError, InputError, RankError, RecordError, SimulationError
+from emps_design.identification.assemble import (
+    Errors,
+    Estimated,
+    assemble,
+    cutoff_sensitivity,
+    implausible,
+    residual_statistics,
+)
 from emps_design.identification.chains import hold_chain
-from emps_design.identification.closed_loop import simulate
-from emps_design.identification.cutoff import chosen_cutoff
-from emps_design.identification.encoder import error_of_steps
 from emps_design.identification.excitation import REFUSE, check_record
 from emps_design.identification.filters import low_pass
-from emps_design.identification.inverse_model import LeastSquares, least_squares, regression
-from emps_design.identification.known import acting, known_part, notes
+from emps_design.identification.inverse_model import LeastSquares, chosen_cutoff, least_squares, regression
 from emps_design.identification.model import Model
-from emps_design.identification.problem import Problem, settled
+from emps_design.identification.problem import Problem, acting, identified_effects, known_part, notes, settled
 from emps_design.identification.result import Identification
-from emps_design.identification.sensitivity import Estimated, cutoff_sensitivity
 from emps_design.laws import NONE
 from emps_design.observer import motor_force
 from emps_design.records import Record
+from emps_design.simulation import Plant, Run
+from emps_design.simulation.run import driven_by
+
+PHASES = 8  # of the encoder's steps against the motion
+STRIDE = 3  # of the phases, from one run to the next: where within a step the axis stood at first, against the phase
 
 ITERATIONS = 12
 STEP = 1e-3  # of a parameter, for the derivatives
@@ -39,6 +53,72 @@ RESTS_TAKE_PART = (
     "too little of the record is away from rest, so rests take part: a slow force that acts on the carriage at rest "
     "biases its friction"
 )
+
+
+def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quantise: bool = False) -> Run:
+    """Closed-loop run of ``record`` from its reference and measured external force with the solution ``value`` (p,).
+
+    The encoder is exact, or that of ``axis`` with ``quantise``. Raises :class:`RecordError` for ``value`` that no
+    simulation starts from, and where the controller of ``axis`` did not make the record.
+    """
+    p = model.natural(value)
+    mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), model.baseline(p).tolist(), strict=True))
+    found = {**mechanics, "viscous": p.get("viscous", mechanics["viscous"])}
+    for name in ("mass", "viscous", "coulomb"):
+        if not found[name] > 0:
+            why = implausible(p, axis) or [
+                "the record does not determine it: record several constant speeds in both directions, with "
+                "acceleration between them"
+            ]
+            raise RecordError(
+                f"{record.name}: {name} came out as {found[name]:.4g}, and no simulation starts from that; {why[0]}"
+            )
+    effects = [*identified_effects(model, p), *known_part(axis, model).effects]
+    machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
+    try:
+        return Plant.of(machine).closed_loop(**driven_by(machine, record), quantise=quantise)
+    except SimulationError as error:
+        raise RecordError(
+            f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "
+            "so the record was made with another one; put its controller into the axis, or use `identify`"
+        ) from error
+
+
+def error_of_steps(
+    record: Record, axis: Axis, model: Model, value: np.ndarray, estimate: Callable[[Record, Record], np.ndarray]
+) -> np.ndarray | None:
+    """Rms (p,) by which the steps of the encoder move ``estimate``, over several of their phases.
+
+    ``estimate`` gives parameters (p,) of a simulated record, beside the same record by an exact encoder; ``value`` (p,)
+    are those that are simulated. None without a resolution or a controller in ``axis``, without a recorded reference,
+    and where no simulation with ``value`` follows it.
+    """
+    resolution = axis.sampling.encoder_resolution
+    if not resolution or axis.controller.kind == NONE or not record.has_reference:
+        return None
+    try:
+        exact = _as_record(record, axis, model, value)
+        right, errors = estimate(exact, exact), []
+        for phase in range(PHASES):
+            moved, stood = (resolution * (i % PHASES) / PHASES for i in (phase, STRIDE * phase))
+            seen = _as_record(record, axis, model, value, moved, stood - 0.5 * resolution)
+            errors.append(estimate(seen, exact) - right)
+        return np.sqrt(np.mean(np.square(errors), axis=0))
+    except (EmpsError, np.linalg.LinAlgError):
+        return None
+
+
+def _as_record(
+    record: Record, axis: Axis, model: Model, value: np.ndarray, moved: float = 0.0, stood: float | None = None
+) -> Record:
+    """``record`` as the axis with ``value`` would have made it, by an exact encoder without ``stood``.
+
+    ``moved`` [m] is all of it against the encoder's steps, ``stood`` [m] how far the axis was at first from what the
+    encoder said.
+    """
+    start = replace(record, q_ref=record.q_ref + moved, q=record.q + moved + (stood or 0.0))
+    run = simulate(start, axis, model, value, quantise=stood is not None)
+    return replace(record, q=run.q - moved, u=run.u)
 
 
 def identify_by_output_error(

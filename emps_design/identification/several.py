@@ -12,11 +12,10 @@ from emps_design.axis import Axis
 from emps_design.effects.terms import TERMS
 from emps_design.errors import AxisError, InputError
 from emps_design.identification.identify import identify
-from emps_design.identification.request import AUTO, BY_INSTRUMENTS, BY_LEAST_SQUARES, BY_OUTPUT_ERROR
-from emps_design.identification.result import Identification
+from emps_design.identification.result import AUTO, BY_INSTRUMENTS, BY_LEAST_SQUARES, BY_OUTPUT_ERROR, Identification
 from emps_design.progress import Progress
 from emps_design.records import Record
-from emps_design.records.joined import joined
+from emps_design.records.record import joined
 
 DRIFT_LEVEL = 0.01
 OUTPUT_ERROR = "output_error"

@@ -14,8 +14,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.records import Record
-from emps_design.records.layout import NAMED
-from emps_design.records.mapping import Doubt
+from emps_design.records.layout import NAMED, Doubt
 
 ON_THE_CLOCK = 1e-3  # of the axis's period
 WEAK_LOOP = 20.0  # times as far as it is told, or as little, no controller lets an axis move

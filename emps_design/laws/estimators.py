@@ -13,6 +13,8 @@ difference, 3 are two_tap. The tracking loop is a phase-locked loop: it predicts
 it adds ``(1 - p^2) e`` to the position x and ``(1 - p)^2 e / T`` to the velocity v, which puts both of its poles at the
 bandwidth; of so fast a clock that w T is small the gains are 2 w T and w^2 T. A kernel keeps the filter's states behind
 its own memory and runs it in transposed direct form; at rest they are 0.
+
+What the tables of an axis file's controller are made of: numbers with bounds, units and words, tables within.
 """
 
 from __future__ import annotations
@@ -22,10 +24,14 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from emps_design.errors import InputError
-from emps_design.laws.fields import Group, Positive, parameter
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
 TWO_TAP: Final = "two_tap"
 BACKWARD: Final = "backward"
@@ -37,6 +43,23 @@ EXPECTED = (
     '{ kind = "tracking", bandwidth = rad/s }'
 )
 NAME, TABLE = "a name", "a table of its own"  # what an estimator may be; with blanks, as no key of a table
+
+
+def parameter(description: str, unit: str, default: Any = ...) -> Any:
+    """A field of a law's table: what it is, its unit, and its default (none: it has to be given)."""
+    return Field(default, description=description, json_schema_extra={"unit": unit})
+
+
+def unit_of(field: FieldInfo | None) -> str:
+    """The unit of a field of a table, "" where it has none."""
+    extra = field.json_schema_extra if field else None
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+
+class Group(BaseModel):
+    """A table inside the ``[controller]`` table: parameters that belong together, as those of one loop."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Estimator(Group):

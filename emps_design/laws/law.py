@@ -31,22 +31,22 @@ from emps_design.laws.estimators import (
     VelocityEstimator,
     in_words,
 )
-from emps_design.laws.fields import (
+from emps_design.laws.estimators import (
     Finite as Finite,
 )
-from emps_design.laws.fields import (
+from emps_design.laws.estimators import (
     Group as Group,
 )
-from emps_design.laws.fields import (
+from emps_design.laws.estimators import (
     NonNegative as NonNegative,
 )
-from emps_design.laws.fields import (
+from emps_design.laws.estimators import (
     Positive as Positive,
 )
-from emps_design.laws.fields import (
+from emps_design.laws.estimators import (
     parameter as parameter,
 )
-from emps_design.laws.fields import (
+from emps_design.laws.estimators import (
     unit_of as unit_of,
 )
 

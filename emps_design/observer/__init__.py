@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from emps_design.exports import on_first_use
 
 if TYPE_CHECKING:
-    from emps_design.observer.actuation import (
+    from emps_design.observer.external_force import (
         acting_voltage as acting_voltage,
         as_driven as as_driven,
         given_back as given_back,

@@ -3,14 +3,19 @@
 ``tau_e = W X - tau_m`` with the force positive where it pushes towards +q. The drive holds u over a period, so the
 force that belongs to the second difference of the position around t_k is the mean of the two periods that meet there.
 At rest friction takes up whatever is below break-away: no observer sees it, and none here pretends to.
+
+From the voltage a record holds to the voltage that acts: maps, delays and the lag of the current loop.
+
+The on-line force observer as a difference equation in plain Python of numbers, as a drive computes it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from types import FunctionType
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,11 +24,166 @@ from emps_design.axis import Axis
 from emps_design.effects import Motion
 from emps_design.effects.effect import ADDED
 from emps_design.errors import InputError
-from emps_design.observer import block
+from emps_design.records import Record
+
+# What stands where in the kernel's gains, and in its memory.
+PERIOD, FORCE_GAIN, ALPHA, MASS, VISCOUS, COULOMB, OFFSET, REST = range(8)
+Q, V, COMMAND, FORCE = range(4)
 
 DEFAULT_CUTOFF_HZ = 20.0
 BLOCK = 50_000  # samples of a record between two words of progress
 REST_VELOCITY = 1e-3  # m/s, below it the sign of the velocity is taken as 0, where nothing is known of the motion
+
+
+def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
+    """Voltage that acts, (n,) [V], of the recorded ``u``, and the axis without what was used up on the way.
+
+    Static maps of the actuator, delays and lags, that of the current loop too, are known from ``u`` alone, and a
+    disturbance of the controller is in ``u`` already: with them taken care of here, every observer, on-line ones too,
+    sees the force that reaches the carriage. What a back-EMF brakes joins the viscous friction.
+
+    >>> from emps_design.machines import machine
+    >>> dead = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.5}])
+    >>> voltage, rest = acting_voltage(dead, np.array([0.2, 1.0]))
+    >>> voltage.tolist(), rest.effects
+    ([0.0, 0.5], ())
+    """
+    b, kept = tuple(float(x) for x in axis.mechanics.array()), []
+    late, lags = float(axis.sampling.computation_delay), [axis.drive.current_time_constant]
+    for one in axis.effects:
+        effect, p = one.effect, tuple(float(x) for x in one.effect.values(one.parameters))
+        if effect.actuator is not None:
+            u = np.array([effect.actuator(float(voltage), p) for voltage in u])
+        elif effect.delay is not None:
+            late += effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b) / axis.sampling.period
+        elif effect.lag is not None:
+            lags.append(effect.lag(0.0, 0.0, 0.0, 0.0, (), p, b))
+        elif effect.command is None:
+            kept.append(one)
+    u = _delayed(u, late)
+    for constant in lags:
+        u = _lagged(u, constant / axis.sampling.period)
+    used_up = {
+        "drive": {"current_time_constant": 0.0, **({"back_emf": 0.0} if axis.drive.back_emf else {})},
+        "sampling": {"computation_delay": 0},
+        "mechanics": {"viscous": axis.damping},
+    }
+    return u, axis.replace(effects=kept, **used_up)
+
+
+def sampled_with(axis: Axis, period: float) -> Axis:
+    """``axis`` with the ``period`` [s] of a record: itself where it has that already."""
+    return axis if axis.sampling.period == period else axis.replace(sampling={"period": period})
+
+
+def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
+    """The record with the voltage that acts, as :func:`acting_voltage` says, and the axis that goes with it.
+
+    The supply of a duty and where the motor was switched off are in that voltage. A winding that is open brakes
+    nothing: what the axis then has too much of viscous friction the voltage gives back.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.machines import machine
+    >>> wave = 0.1 * np.sin(np.arange(60) / 9)
+    >>> off = Record.from_arrays(1e-2, wave, wave, np.ones(60) + wave, enable=np.arange(60) < 30)
+    >>> [int(np.count_nonzero(half)) for half in np.split(as_driven(machine("emps2019"), off)[0].u, 2)]
+    [30, 0]
+    """
+    voltage, driven = acting_voltage(sampled_with(axis, record.period), record.u)
+    return replace(record, u=voltage * motor_share(axis, record) + given_back(axis, record)), driven
+
+
+def motor_share(axis: Axis, record: Record) -> Any:
+    """Share (n,) of ``axis.drive.gain`` that acts at each sample of ``record``, or 1.0: its supply, off or on."""
+    share: Any = 1.0
+    if axis.drive.command == "duty" and record.supply is not None:
+        share = axis.drive.force_gain * record.supply / axis.drive.gain
+    return share if record.enable is None else share * (record.enable != 0.0)
+
+
+def given_back(axis: Axis, record: Record) -> np.ndarray:
+    """Command (n,) that drives as much as the back-EMF would brake, where the motor of ``record`` is off; else 0."""
+    if record.enable is None or not axis.drive.braking:
+        return np.zeros(len(record))
+    v = np.gradient(record.q, record.period)
+    return np.where(record.enable != 0.0, 0.0, axis.drive.braking * v / axis.drive.gain)
+
+
+def motor_force(axis: Axis, record: Record) -> np.ndarray:
+    """Motor force (n,) [N] that the command of ``record`` asks for, before delays, lags and back-EMF."""
+    return axis.drive.gain * motor_share(axis, record) * record.u
+
+
+def _delayed(u: np.ndarray, late: float) -> np.ndarray:
+    """Means over each period of the held signal ``u`` that arrives ``late`` periods later."""
+    if late == 0.0:
+        return u
+    whole, share = int(late), late - int(late)
+    padded = np.concatenate([np.full(whole + 1, u[0]), u])
+    return (1.0 - share) * padded[1 : len(u) + 1] + share * padded[: len(u)]
+
+
+def _lagged(u: np.ndarray, constant: float) -> np.ndarray:
+    """Means over each period of the held ``u`` behind a first-order lag of ``constant`` periods, settled at u[0]."""
+    if constant <= 0.0:
+        return u
+    from scipy.signal import lfilter
+
+    decay = math.exp(-1.0 / constant)
+    begin, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], u, zi=[u[0]])
+    return u + (begin - u) * constant * (1.0 - decay)
+
+
+def added_force(q: float, v: float, tau: float) -> float:
+    """What effects add to the force [N] at position, velocity and motor force: nothing but by :func:`with_effects`."""
+    return 0.0
+
+
+def added_dry(q: float, v: float, tau: float) -> float:
+    """What they add to the level of dry friction [N]."""
+    return 0.0
+
+
+def added_inertia(q: float, v: float, tau: float) -> float:
+    """What they add to the mass [kg]."""
+    return 0.0
+
+
+def position_before(k: int, q: float, memory: Any) -> float:
+    """Position [m] of the sample before, where the two periods meet."""
+    return memory[Q] if k > 0 else q
+
+
+def force_observer(k: int, command: float, q: float, f_ext: float, limit: float, gains: Any, memory: Any) -> float:
+    """External force [N] as of the observer's delay ago; ``command`` is that of the period which ends at sample k."""
+    period = gains[PERIOD]
+    before = position_before(k, q, memory)
+    v = (q - before) / period
+    a = (v - memory[V]) / period
+    # Velocity and motor force in the middle of the two periods.
+    middle = 0.5 * (v + memory[V])
+    motor = gains[FORCE_GAIN] * 0.5 * (command + (memory[COMMAND] if k > 1 else command))
+    level = max(gains[COULOMB] + added_dry(before, middle, motor), 0.0)
+    dry = 0.0
+    if middle > gains[REST]:
+        dry = level
+    elif middle < -gains[REST]:
+        dry = -level
+    constant = gains[OFFSET] + added_force(before, middle, motor)
+    mass = gains[MASS] + added_inertia(before, middle, motor)
+    now = gains[VISCOUS] * middle + constant + dry + mass * a - motor
+    if k > 0:
+        now = memory[FORCE] + gains[ALPHA] * (now - memory[FORCE])
+    memory[Q] = q
+    memory[V] = v
+    memory[COMMAND] = command
+    memory[FORCE] = now
+    return now
+
+
+def with_effects(kernel: Any, added: Mapping[str, Callable[..., Any]]) -> Any:
+    """The observer's ``kernel`` with other functions of q, v and tau in place of those that add nothing, by name."""
+    return FunctionType(kernel.__code__, {**kernel.__globals__, **added}, kernel.__name__)
 
 
 def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY) -> np.ndarray:
@@ -167,7 +327,7 @@ class ForceObserver:
         self._period = period
         resistance = Resistance(axis, left_out(axis)["online"])
         added = {f"added_{hook}": partial(self._added, resistance, hook) for hook in resistance.hooks}
-        self.kernel = block.with_effects(block.force_observer, added)
+        self.kernel = with_effects(force_observer, added)
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
         # The numbers of the difference equation, without what effects add.
         self.gains = [period, axis.drive.gain, self._alpha, *axis.mechanics.array().tolist(), rest_velocity]

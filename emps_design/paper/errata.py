@@ -1,4 +1,9 @@
-"""Where the paper differs from what follows: every step that is not as printed, and what no equation says."""
+"""Where the paper differs from what follows: every step that is not as printed, and what no equation says.
+
+Where each numbered equation of the paper stands in the package.
+
+The derivations as a LaTeX document that compiles by itself: article, amsmath, nothing else.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from emps_design.paper.derivations import derivation
-from emps_design.paper.derivations.step import DerivationStep
+from emps_design.paper.derivations.step import NOT_AS_PRINTED, DerivationStep
 from emps_design.paper.written import latex
+
+HEAD = r"""\documentclass[10pt]{article}
+\usepackage{amsmath,amssymb}
+\usepackage[a4paper,margin=22mm]{geometry}
+\setlength{\parindent}{0pt}
+\allowdisplaybreaks
+\begin{document}
+"""
 
 
 @dataclass(frozen=True)
@@ -52,3 +65,89 @@ def _of(step: DerivationStep) -> Erratum:
     # Where nothing differs but a symbol, that is what there is to say.
     words = step.text if step.difference != 0 else f"{step.verdict[0].upper()}{step.verdict[1:]}."
     return Erratum(step.place, step.title, latex(step.printed), latex(step.equation), words, step)
+
+
+_GAINS, _FORCE = "emps_design.control.velocity.gains", "emps_design.control.force.design_force_loop"
+_LEAST_SQUARES = "emps_design.identification.inverse_model.least_squares"
+_DIRECT = "emps_design.identification.observation.direct_validation"
+_LAW, _LIBRARY = "emps_design.control.impedance.law.ImpedanceLaw", "emps_design.laws.library.impedance"
+
+PLACES: dict[str, tuple[str, ...]] = {
+    "1": ("emps_design.axis.Drive",),
+    "2": ("emps_design.simulation.plant.Plant", "emps_design.observer.model_force"),
+    "3": ("emps_design.identification.model.column",),
+    "4": ("emps_design.effects.library.stribeck_friction",),
+    "5": ("emps_design.identification.inverse_model.regression",),
+    "6": ("emps_design.control.velocity.design.VelocityLoopDesign.velocity_error_loop",),
+    "7": (f"{_GAINS}.velocity_gains",),
+    "8": ("emps_design.control.velocity.design.VelocityLoopDesign.closed_loop",),
+    "9": (f"{_GAINS}.canonical_form",),
+    "10": (_FORCE,),
+    "11": (_FORCE,),
+    "12": ("emps_design.identification.inverse_model.regression",),
+    "13": (_LEAST_SQUARES, "emps_design.identification.statistics"),
+    "14": (_LEAST_SQUARES,),
+    "15": ("emps_design.identification.inverse_model.LeastSquares",),
+    "16": ("emps_design.identification.result.Identification",),
+    "17": (_LEAST_SQUARES,),
+    "18": ("emps_design.observer.observe_offline",),
+    "19": ("emps_design.observer.observe_offline", "emps_design.observer.observe_online"),
+    "20": ("emps_design.identification.observation.observe",),
+    "21": (_DIRECT,),
+    "22": (_DIRECT,),
+    "23": (_DIRECT,),
+    "24": (_LAW,),
+    "25": (_LAW, "emps_design.control.impedance.law.equivalent_impedance"),
+    "26": ("emps_design.paper.derivations.impedance.derived_law",),
+    "27": (f"{_LIBRARY}.demanded_force",),
+    "28": (f"{_LIBRARY}.demanded_force",),
+    "29": (f"{_LIBRARY}.observed_force", "emps_design.observer.ForceObserver"),
+    "30": (f"{_LIBRARY}.impedance",),
+}
+
+
+def document() -> str:
+    """Every part of the derivation as one document; an equation of the paper keeps its number.
+
+    >>> text = document()
+    >>> text.count(r"\\begin{equation*}") == text.count(r"\\end{equation*}") > 40
+    True
+    """
+    lines = [HEAD]
+    for title, steps in derivation().values():
+        lines.append(rf"\section*{{{title}}}")
+        for step in steps:
+            lines += _step(step)
+    return "\n".join([*lines, r"\end{document}"])
+
+
+def _step(step: DerivationStep) -> list[str]:
+    heading = f"{step.title} ({step.number})" if step.number else step.title
+    verdict = f" \\emph{{{escaped(step.verdict)}.}}" if step.verdict else ""
+    assumes = f" Assumes: {escaped('; '.join(step.assumes))}." if step.assumes else ""
+    lines = [f"\\paragraph{{{escaped(heading)}}} {escaped(step.text)}{assumes}{verdict}"]
+    lines += _display(latex(step.equation), step.number)
+    if step.verdict.startswith(NOT_AS_PRINTED) or step.read_as:
+        lines += ["Printed:", *_display(latex(step.printed), step.number)]
+    if step.checks:
+        claims = (escaped(claim) + ("" if true else " FAILS") for claim, true in step.checks)
+        lines.append(f"Checked: {'; '.join(claims)}.")
+    return lines
+
+
+def _display(equation: str, number: str) -> list[str]:
+    tag = rf" \tag{{{number}}}" if number else ""
+    return [r"\begin{equation*}", equation + tag, r"\end{equation*}"]
+
+
+def escaped(words: str) -> str:
+    r"""Words with LaTeX's own characters made harmless, in one pass.
+
+    >>> print(escaped("k_v1 > 0, 2 %, W^T"))
+    k\_v1 $>$ 0, 2 \%, W\textasciicircum{}T
+    """
+    harmless = {
+        "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
+        "<": "$<$", ">": "$>$", **{character: f"\\{character}" for character in "_%&#$"},
+    }  # fmt: skip
+    return "".join(harmless.get(character, character) for character in words)

@@ -5,12 +5,16 @@ so that tables and errors come out as printed, what such a machine has besides: 
 friction that depends on position and drifts between experiments, noise of the friction, an encoder, and a force sensor
 with a gripper in front of it. ``bench_numbers.py`` says of every number whether it is the paper's or chosen, and why;
 ``benchmarks/table_2.py`` shows by a sweep which of them make Table II.
+
+The numbers of the virtual bench: value, unit, whether the paper gives it, and the reason where it is chosen.
+
+Section III of the paper on the virtual bench: Tables I and II, the errors, and the curves of Figs. 3 to 10.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,11 +22,98 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.effects import Effect, Parameter, get_effect
+from emps_design.errors import InputError, nearest_name
+from emps_design.identification.chains import paper_chain
+from emps_design.identification.inverse_model import Filtered, regression
+from emps_design.identification.observation import direct_validation
+from emps_design.identification.result import Identification
+from emps_design.identification.several import SeveralIdentifications, identify_several
 from emps_design.machines import machine
-from emps_design.paper.bench_numbers import numbers
+from emps_design.paper.written import BREAK_AWAY, RANGES, TABLES
 from emps_design.progress import Progress
+from emps_design.quantities import Quantity
 from emps_design.records import Record
 from emps_design.simulation import Plant
+
+PAPER, CHOSEN = "paper", "chosen"
+
+MODEL = "asymmetric"
+
+# To stand beside what the bench gives: never used in a computation.
+PRINTED = {**TABLES, **RANGES, "break_away": BREAK_AWAY}
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the bench: ``value``, ``unit``, whether it is the ``paper`` 's or ``chosen``, and the reason."""
+
+    value: float
+    unit: str
+    origin: str
+    reason: str
+
+
+NUMBERS: dict[str, Number] = {
+    "experiments": Number(10, "", PAPER, "ten of each kind, sections III-A and III-B"),
+    "crossover": Number(100.0, "rad/s", PAPER, "velocity loop, section II-C"),
+    "phase_margin": Number(60.0, "deg", CHOSEN, "the paper gives none"),
+    "bend_positive": Number(31.3, "N", CHOSEN, "at 0.1 m/s: Table II's F_v+ at low speed is above Table I's"),
+    "bend_negative": Number(49.1, "N", CHOSEN, "at 0.1 m/s: Table II's F_v- at low speed is well above Table I's"),
+    "bend_exponent": Number(0.45, "", CHOSEN, "steep near rest, then flatter, as grease that shears"),
+    "viscous_less_positive": Number(339.4, "N/(m/s)", CHOSEN, "so that the bent friction identifies as Table I's F_v+"),
+    "viscous_less_negative": Number(571.5, "N/(m/s)", CHOSEN, "so that the bent friction identifies as Table I's F_v-"),
+    "coulomb_less_positive": Number(7.52, "N", CHOSEN, "so that the bent friction identifies as Table I's F_c+"),
+    "coulomb_less_negative": Number(11.04, "N", CHOSEN, "so that the bent friction identifies as Table I's F_c-"),
+    "mass_less": Number(1.3, "kg", CHOSEN, "so that the mass identifies as Table I's, reversals included"),
+    "break_away_excess": Number(7.1, "N", CHOSEN, "so that the test at rest gives the F_s of 17 N of section III-A"),
+    "stribeck_velocity": Number(0.0005, "m/s", CHOSEN, "a ball screw's excess is gone within a few mm/s"),
+    "stribeck_exponent": Number(1.0, "", CHOSEN, "the paper allows 1 to 2"),
+    "position_amplitude": Number(5.5, "N", CHOSEN, "where the operator works friction is higher: RMS_2 of 3.9-5.4 N"),
+    "position_length": Number(0.35, "m", CHOSEN, "slow, so that neither small workspace sees it change"),
+    "ripple_amplitude": Number(1.5, "N", CHOSEN, "1 N at 2.5 mm in the 2019 record of the same machine, here older"),
+    "ripple_period": Number(0.0025, "m", CHOSEN, "one revolution, from the 2019 record of the same machine"),
+    "friction_noise": Number(1.78, "N", CHOSEN, "brings direct validation to 2.7-3.4 N"),
+    "friction_noise_spread": Number(0.13, "", CHOSEN, "of the noise from experiment to experiment: the ranges' width"),
+    "friction_noise_speed": Number(0.0152, "m/s", CHOSEN, "at which it has doubled: brings RMS_1 to 3.6-5.3 N"),
+    "friction_noise_time": Number(0.06, "s", CHOSEN, "slow enough to pass the filters, as the residual of 2019 does"),
+    "drift": Number(0.015, "", CHOSEN, "std of the friction from one experiment to the next: lubrication, temperature"),
+    "voltage_noise": Number(0.004, "V", CHOSEN, "3.7 mV in the 2019 record"),
+    "sensor_noise": Number(0.05, "N", CHOSEN, "1 % of the sensor's range; the paper calls it insignificant"),
+    "sensor_gain_error": Number(0.0, "", CHOSEN, "the paper takes the sensor's force for the real one"),
+    "sensor_lag": Number(0.0, "s", CHOSEN, "first-order; the paper gives none"),
+    "sensor_offset": Number(1.02, "N", CHOSEN, "zero of the sensor, or the pull of a cable, from one day to the other"),
+    "mass_beyond_sensor": Number(8.75, "kg", CHOSEN, "gripper in front of the sensor"),
+    "kp": Number(160.18, "1/s", CHOSEN, "position controller of 2019; the paper gives none"),
+    "kv": Number(243.45, "V/(m/s)", CHOSEN, "position controller of 2019; the paper gives none"),
+    "speed": Number(0.04, "m/s", CHOSEN, "of the trajectory; Table I's deviation of F_v over that of F_c says so"),
+    "ramp": Number(0.1, "s", CHOSEN, "of the trajectory; Table I's deviation of M over that of F_c says so"),
+    "duration": Number(40.0, "s", CHOSEN, "of identification; Table I's deviations over its RMS_1 say so"),
+    "workspace": Number(0.04, "m", CHOSEN, "where co-manipulation starts: away from where the parameters were found"),
+    "hand_duration": Number(110.0, "s", CHOSEN, "of co-manipulation; Table II's deviations over its RMS error say so"),
+    "hand_force": Number(2.5, "N", CHOSEN, "largest step to either side of the force that keeps the carriage at rest"),
+    "hand_least": Number(0.2, "", CHOSEN, "smallest such step over the largest"),
+    "hand_bias": Number(
+        1.0, "", CHOSEN, "share of tau_ref that the hand balances; Table II says equal speeds both ways"
+    ),
+    "hand_ramp": Number(0.2, "s", CHOSEN, "mean ramp of the operator's force, half as long to half as long again"),
+    "hand_floor": Number(0.65, "s", CHOSEN, "mean floor of the operator's force, 0.6 to 1.4 times that"),
+    "k_e1": Number(0.005, "(m/s)/N", CHOSEN, "low on purpose, as the paper says: Table II's deviations give the speed"),
+    "tau_ref": Number(2.5, "N", PAPER, "not zero, for a force at any time (III-B); its size is chosen, half the range"),
+}
+
+
+def numbers(**changes: float) -> dict[str, float]:
+    """The numbers of the bench in their units, with ``changes``; raises :class:`InputError` for a name not among them.
+
+    >>> numbers(tau_ref=1.0)["tau_ref"], numbers()["crossover"]
+    (1.0, 100.0)
+    """
+    for name in changes:
+        if name not in NUMBERS:
+            raise InputError(
+                f"bench: found the number {name!r}{nearest_name(name, tuple(NUMBERS))}, expected one of NUMBERS"
+            )
+    return {name: float(changes.get(name, number.value)) for name, number in NUMBERS.items()}
 
 
 def friction_noise(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
@@ -276,3 +367,109 @@ def _low_passed(signal: np.ndarray, gain: float, decay: float) -> np.ndarray:
     from scipy.signal import lfilter
 
     return lfilter([gain], [1.0, -decay], signal)
+
+
+@dataclass(frozen=True)
+class SectionThree:
+    """Results of section III: identification of ten, observation of ten others, direct validation of these.
+
+    ``rms_1``, ``rms_2``, ``rms_direct`` (10,) [N] as the paper defines them; ``table_1`` and ``table_2`` rows of
+    (value, 2 sigma, 100 * 2 sigma / |value|), as its tables print them.
+    """
+
+    bench: Bench = field(repr=False)
+    identification: SeveralIdentifications = field(repr=False)
+    direct: tuple[Identification, ...] = field(repr=False)
+    rms_1: np.ndarray
+    rms_2: np.ndarray
+    rms_direct: np.ndarray
+
+    @property
+    def table_1(self) -> dict[str, tuple[float, float, float]]:
+        """The first experiment's parameters."""
+        return _table(self.identification.identifications[0])
+
+    @property
+    def table_2(self) -> dict[str, tuple[float, float, float]]:
+        """Parameters of direct validation on the first co-manipulation experiment."""
+        return _table(self.direct[0])
+
+    def observed(self, index: int = 0) -> dict[str, np.ndarray]:
+        """Curves of Figs. 8 to 10 for co-manipulation experiment ``index``: t [s] and forces [N]."""
+        record = self.bench.comanipulation[index]
+        filtered, W, motor, sensor = _prepared(record, self.bench)
+        mean = self.identification.values.mean(axis=0)
+        own = self.direct[index].values()
+        return {
+            "t": filtered.t,
+            "sensor": sensor,
+            "cross": W @ mean - motor,
+            "direct": W @ own - motor,
+            "motor": motor,
+            "model": W @ own,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, with what the paper printed beside it."""
+        return {
+            "scenario": "bench",
+            "axis": self.bench.axis.name,
+            "seed": self.bench.seed,
+            "numbers": dict(self.bench.numbers),
+            "table_1": {name: list(row) for name, row in self.table_1.items()},
+            "table_2": {name: list(row) for name, row in self.table_2.items()},
+            "rms_1": self.rms_1.tolist(),
+            "rms_2": self.rms_2.tolist(),
+            "rms_direct": self.rms_direct.tolist(),
+            "break_away": list(self.bench.break_away),
+            "printed": PRINTED,
+            "warnings": [
+                "the paper's records are not public: a machine with its Table I, other numbers chosen so that its "
+                "errors come out alike"
+            ],
+        }
+
+
+def reproduce_section_3(
+    seed: int = 0,
+    given: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> SectionThree:
+    """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters.
+
+    ``given`` are the numbers of the bench, :func:`emps_design.paper.virtual_bench.numbers` by default.
+    """
+    bench = virtual_bench(seed, given, progress)
+    # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.
+    plain = bench.axis.replace(effects=[], drive={"current_time_constant": 0.0})
+    several = identify_several(bench.identification, plain, model=MODEL, filter="paper")
+    mean = several.values.mean(axis=0)
+    cross, direct = [], []
+    for record in bench.comanipulation:
+        _, W, motor, sensor = _prepared(record, bench)
+        cross.append(float(np.sqrt(np.mean((W @ mean - motor - sensor) ** 2))))
+        direct.append(direct_validation(record, plain, model=MODEL, filter="paper"))
+    return SectionThree(
+        bench=bench,
+        identification=several,
+        direct=tuple(direct),
+        rms_1=np.diag(several.cross_validation).copy(),
+        rms_2=np.array(cross),
+        rms_direct=np.array([one.rms_error for one in direct]),
+    )
+
+
+def _prepared(record: Record, bench: Bench) -> tuple[Filtered, np.ndarray, np.ndarray, Any]:
+    filtered = paper_chain(record, bench.axis.drive.force_gain)
+    W, _ = regression(filtered, MODEL)
+    return filtered, W, filtered.force, filtered.f_ext
+
+
+def _table(found: Identification) -> dict[str, tuple[float, float, float]]:
+    return {name: _row(estimate.quantity, estimate.value, estimate.std) for name, estimate in found.parameters.items()}
+
+
+def _row(quantity: Quantity, value: float | None, std: float | None) -> tuple[float, float, float]:
+    if value is None or std is None:
+        return (float("nan"),) * 3
+    return value, 2.0 * std, 200.0 * std / abs(value)

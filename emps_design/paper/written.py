@@ -2,6 +2,13 @@
 
 SymPy orders the terms of a sum its own way. A :class:`Sum` keeps the order that it was given; everything else is
 printed by SymPy.
+
+The paper's symbols for SymPy, by the names of the code; their own names are LaTeX as the paper writes them.
+
+What the paper prints: every numbered equation, Tables I and II, the ranges of the errors. Nothing else is typed in.
+
+In the paper's order and signs, misprints included; the derivations compare with this and nothing computes with it.
+The text at hand was read from a scan, so a symbol may be the reader's mistake rather than the paper's.
 """
 
 from __future__ import annotations
@@ -11,6 +18,62 @@ from dataclasses import dataclass
 from typing import Any
 
 import sympy as sp
+
+
+def _real(text: str) -> list[sp.Symbol]:
+    return [sp.Symbol(name, real=True) for name in text.split(" ; ")]
+
+
+def _positive(text: str) -> list[sp.Symbol]:
+    return [sp.Symbol(name, positive=True) for name in text.split(" ; ")]
+
+
+def _words(text: str) -> list[sp.Symbol]:
+    """Matrices of which only the order of a product counts."""
+    return [sp.Symbol(name, commutative=False) for name in text.split(" ; ")]
+
+
+# Drive and carriage, (1) to (5)
+q, qd, qdd, q_0, qd_0 = _real(r"q ; \dot{q} ; \ddot{q} ; q_0 ; \dot{q}_0")
+tau_m, tau_e, tau_eh, tau_ref = _real(r"\tau_m ; \tau_e ; \hat{\tau}_e ; \tau_{ref}")
+S = sp.Symbol(r"\operatorname{sign}(\dot{q})", real=True)
+M, F_v, F_c, F_s, qd_s, delta_s = _positive(r"M ; F_v ; F_c ; F_s ; \dot{q}_s ; \delta_s")
+G_i, r, k_t, G_tau, G_ti = _positive(r"G_i ; r ; k_t ; G_{\tau} ; G_{\tau i}")
+v_I, current = _real("v_I ; I_m")
+
+# Cascaded loops, (6) to (11); the paper has the index 1 there
+M_1, F_v1, k_v1, t_v, omega_v, K_v, omega_0v, z_v = _positive(
+    r"M_1 ; F_{v1} ; k_{v1} ; t_v ; \omega_v ; K_v ; \omega_{0v} ; z_v"
+)
+k_e1, k_c, K_env, k_h, K_c, K_ = _positive("k_{e1} ; k_c ; K_{env} ; k_h ; K_c ; K")
+s = sp.Symbol("s")
+phi_v = sp.Symbol(r"\phi_v", real=True)
+v_ref, qd_1, u, e_v = sp.symbols(r"v_{\dot{q}} \dot{q}_1 u e_v")
+T_vo, T_vc, T_eo = sp.symbols("T_{vo} T_{vc} T_{eo}")
+
+# Impedance law, (24) to (30)
+M_h, F_vh, F_ch = _positive(r"\hat{M} ; \hat{F}_v ; \hat{F}_c")
+M_a, B, K, M_o = _positive("M_a ; B ; K ; M_o")
+
+# Identification and observation, (12) to (23)
+n, p = sp.symbols("n p", integer=True, positive=True)
+I_n, I_N = sp.symbols(r"\mathbf{I_n} \mathbf{I_N}")
+residual = sp.Symbol(r"\Vert\tau_{\mathbf{m1}} - \mathbf{W_1}\widehat{\mathbf{X}}_{\mathbf{1}}\Vert", positive=True)
+variance = sp.Symbol(r"\widehat{\sigma}_{\rho}^2", positive=True)
+sigma, sigma_x, x = _positive(r"\sigma_{\rho} ; \hat{\sigma}_{X} ; X")
+W, X, X_hat, Y, e_i = _words(r"\mathbf{W} ; \mathbf{X} ; \widehat{\mathbf{X}} ; \mathbf{Y} ; \mathbf{e_i}")
+W_1v, X_1, X_1h, e_1 = _words(r"\mathbf{W_1} ; \mathbf{X_1} ; \widehat{\mathbf{X}}_{\mathbf{1}} ; \mathbf{e_1}")
+W_2, X_2, X_1m, e_2 = _words(
+    r"\mathbf{W_2} ; \mathbf{X_2} ; \widehat{\overline{\mathbf{X}}}_{\mathbf{1}} ; \mathbf{e_2}"
+)
+(tau_m1,) = _words(r"\tau_{\mathbf{m1}}")
+tau_m2, tau_e2, tau_e2h, tau_mv, tau_ev, tau_evh = _words(
+    r"\tau_{\mathbf{m2}} ; \tau_{\mathbf{e2}} ; \widehat{\tau}_{\mathbf{e2}} ; "
+    r"\tau_{\mathbf{m}} ; \tau_{\mathbf{e}} ; \widehat{\tau}_{\mathbf{e}}"
+)
+W_1 = sp.MatrixSymbol(r"\mathbf{W}_1", n, p)
+C_rho = sp.Symbol(r"\mathbf{C}_{\rho\rho}")
+C_x = sp.MatrixSymbol(r"\mathbf{C}_{\widehat{X}_1\widehat{X}_1}", p, p)
 
 
 @dataclass(frozen=True)
@@ -199,3 +262,112 @@ def plain_name(name: str) -> str:
     for command, suffix in (("ddot", "dd"), ("dot", "d"), ("overline", "mean"), ("widehat", "hat"), ("hat", "hat")):
         name = re.sub(rf"\\{command}{{([^{{}}]*)}}", rf"\1{suffix}", name)
     return re.sub(r"[\\{}]", "", name.replace(r"\Vert", "|")).replace(" - ", "-").replace(" ", "_")
+
+
+_R = M_h / M_a
+_COUNTED = Sum(((_R,), (-1,)))  # M-hat/M_a - 1
+_MOVED, _AWAY = Sum(((qd,), (-1, qd_0))), Sum(((q,), (-1, q_0)))
+_LESS_DAMPING = Sum(((F_vh,), (-1, _R, B)))
+_FRICTION = ((F_v, qd), (F_c, S))
+_CANONICAL = 1 + 2 * z_v / omega_0v * s + s**2 / omega_0v**2
+_MODEL = ((M_h, qdd), (F_vh, qd), (F_ch, S))
+
+EQUATIONS: dict[str, tuple[Equation, ...]] = {
+    "1": (Equation(tau_m, Sum(((G_i, r, k_t, v_I),))),),
+    "2": (Equation(Sum(((tau_m,), (tau_e,))), Sum(((M, qdd), *_FRICTION))),),
+    "3": (Equation(sp.Symbol("F_{fc}"), Sum(_FRICTION)),),
+    "4": (
+        Equation(
+            sp.Symbol("F_{fs}"),
+            Sum((*_FRICTION, (Sum(((F_s,), (-1, F_c))), sp.exp(-(sp.Abs(qd / qd_s) ** delta_s)), S))),
+        ),
+    ),
+    "5": (Equation(Sum(((tau_m,), (tau_e,))), W * X),),
+    "6": (
+        Equation(T_vo, k_v1 * G_tau / (t_v * s) / (M_1 * s + F_v1 + k_v1 * G_tau)),
+    ),
+    "7": (
+        Equation(k_v1, (M_1 * omega_v * sp.tan(phi_v) - F_v1) / G_tau),
+        Equation(t_v, k_v1 * G_tau / (M_1 * omega_v**2) * sp.cos(phi_v)),
+    ),
+    "8": (Equation(T_vc, 1 / (1 + (t_v + F_v1 / K_c) * s + M_1 / K_c * s**2)),),
+    "9": (
+        Equation(omega_0v, sp.sqrt(K_v / M_1)),
+        Equation(z_v, (t_v + F_v1 / K_) * omega_0v / 2),
+        Equation(T_vc, 1 / _CANONICAL),
+    ),
+    "10": (Equation(T_eo, k_e1 * k_c / _CANONICAL), Equation(tau_e, k_c * qd_1)),
+    "11": (Equation(T_eo, 1 / _CANONICAL),),
+    "12": (Equation(tau_m1, W_1v * X_1),),
+    "13": (Equation(C_rho, sigma**2 * I_N),),
+    "14": (Equation(variance, residual**2 / (n - p)),),
+    "15": (Equation(C_x, sigma**2 * sp.Inverse(sp.MatMul(W_1, W_1.T, evaluate=False))),),
+    "16": (Equation(sp.Symbol(r"\%\sigma"), 100 * sigma_x / sp.Abs(x)),),
+    "17": (Equation(tau_m1, Sum(((W_1v, X_1h), (e_1,)))),),
+    "18": (Equation(tau_e2, Sum(((tau_m2,), (-1, W_2, X_2)))),),
+    "19": (Equation(tau_e2h, Sum(((W_2, X_1m), (-1, tau_m2)))),),
+    "20": (Equation(tau_e2, Sum(((tau_e2h,), (e_2,)))),),
+    "21": (Equation(Y, Sum(((tau_mv,), (tau_ev,)))), Equation(Y, W * X)),
+    "22": (Equation(Y, Sum(((W, X_hat), (e_i,)))),),
+    "23": (Equation(tau_evh, Sum(((W, X_hat), (-1, tau_mv)))),),
+    "24": (Equation(Sum(((tau_m,), (tau_e,))), Sum(_MODEL)),),
+    "25": (Equation(tau_e, Sum(((M_a, qdd), (B, _MOVED), (K, _AWAY)))),),
+    "26": (Equation(qdd, Sum(((1 / M_o, Sum(((tau_e,), (-1, B, _MOVED), (-1, K, _AWAY)))),))),),
+    "27": (
+        Equation(
+            tau_m,
+            Sum(((_COUNTED, tau_e), (_LESS_DAMPING, _MOVED), (F_ch, S), (-1, _R, K, _AWAY))),
+        ),
+    ),
+    "28": (Equation(tau_m, Sum(((_COUNTED, tau_e), (_LESS_DAMPING, qd), (F_ch, S)))),),
+    "29": (Equation(tau_eh, Sum((*_MODEL, (-1, G_ti, current)))),),
+    "30": (
+        Equation(
+            tau_m,
+            Sum(
+                (
+                    (_COUNTED, M_h, qdd),
+                    (_R, Sum(((F_v,), (-1, B))), qd),
+                    (_R, F_c, S),
+                    (-2, _COUNTED, G_ti, current),
+                )
+            ),
+        ),
+    ),
+}  # fmt: skip
+
+# Symbols that the print has where nothing else fits than another one.
+READ_AS: dict[str, dict[sp.Symbol, sp.Symbol]] = {
+    "8": {K_c: K_v},
+    "9": {K_: K_v},
+    "13": {I_N: I_n},
+    "26": {M_o: M_a},
+    "30": {F_v: F_vh, F_c: F_ch},
+}
+
+# (value, 2 sigma, % sigma) of each parameter, as text, so that the number of digits is the paper's.
+_TABLES = {
+    "table_1": """
+        mass              115.7315   0.5765  0.4981
+        viscous_positive  474.9727  17.5686  3.6989
+        viscous_negative  563.8568  19.3088  3.4244
+        coulomb_positive   17.3811   0.3259  1.8750
+        coulomb_negative   11.5846   0.3363  2.9030""",
+    "table_2": """
+        mass              109    1.24  1.13
+        viscous_positive  707   27.5   3.89
+        viscous_negative  998   26.4   2.65
+        coulomb_positive   18.9  0.21  1.15
+        coulomb_negative    9.8  0.21  2.22""",
+}
+TABLE_TEXT: dict[str, dict[str, tuple[str, str, str]]] = {
+    table: {name: (value, two_sigma, percent) for name, value, two_sigma, percent in map(str.split, rows.splitlines())}
+    for table, rows in ((table, text.strip()) for table, text in _TABLES.items())
+}
+TABLES: dict[str, dict[str, tuple[float, float, float]]] = {
+    table: {name: (float(row[0]), float(row[1]), float(row[2])) for name, row in rows.items()}
+    for table, rows in TABLE_TEXT.items()
+}
+RANGES: dict[str, tuple[float, float]] = {"rms_1": (3.6, 5.3), "rms_2": (3.9, 5.4), "rms_direct": (2.7, 3.4)}  # N
+BREAK_AWAY = 17.0  # N, F_s+ of section III-A
+UNIT_OF_K_T = "N/A"  # section II-A

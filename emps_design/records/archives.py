@@ -1,16 +1,40 @@
-"""NumPy archives. Members are plain numbers: an object array, which only unpickling could read, is refused."""
+"""Archives: NumPy files and MATLAB files of both formats, plain numbers by their names.
+
+NumPy archives. Members are plain numbers: an object array, which only unpickling could read, is refused.
+
+MATLAB v5 files (``save -v7``, ``save -v6``): real numeric arrays, and on demand structures of arrays.
+
+A reader of its own, in bounds-checked Python: scipy's compiled one ends the whole process on some damaged files.
+Format: MathWorks, "MAT-File Format", level 5: a 128-byte header, then elements of (type, size, data), each on a
+multiple of 8 bytes, that are arrays or compressed arrays; an array is flags, dimensions, name and real part.
+
+MATLAB v7.3 files, which are HDF5: real numeric arrays, on demand structures of arrays; no link is followed.
+"""
 
 from __future__ import annotations
 
 import math
 import warnings
 import zipfile
+import zlib
+from collections.abc import Iterator
 from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.lib import format as npy
 
 from emps_design.errors import RecordError
+
+HEADER = 128
+ARRAY, COMPRESSED = 14, 15
+COMPLEX = 0x08
+STRUCTURE, TEXT = 2, 4
+NUMERIC_CLASSES = range(6, 16)  # double, single, int8 to uint64
+CHARACTERS = {16: "u1", 17: "u2"}
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+
+HDF5 = b"\x89HDF\r\n\x1a\n"
+HDF5_OFFSETS = (0, 512, 1024, 2048)
 
 
 def read_archive(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.ndarray]:
@@ -21,14 +45,14 @@ def read_archive(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.nd
             unpacked = sum(member.file_size for member in members)
             if unpacked > max_bytes:
                 raise RecordError(f"{source}: found {unpacked} bytes unpacked, expected at most {max_bytes}")
-            return {member.filename.removesuffix(".npy"): _array(archive, member, source) for member in members}
+            return {member.filename.removesuffix(".npy"): _member(archive, member, source) for member in members}
     except RecordError:
         raise
     except Exception as error:  # whatever a damaged archive makes zipfile raise, it is one thing to the user
         raise RecordError(f"{source}: damaged .npz archive ({error or type(error).__name__}); save it again") from error
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: str) -> np.ndarray:
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: str) -> np.ndarray:
     """One .npy member, its size checked against its header before anything is allocated."""
     with archive.open(member) as stream:
         with warnings.catch_warnings():
@@ -54,3 +78,189 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: str) -> np
             raise RecordError(f"{source}: {member.filename}: found {filled} bytes of data, expected {size}")
         stream.read(1)  # past the end, where the archive's check sum is compared
     return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C")
+
+
+def is_v5(content: bytes) -> bool:
+    """Whether ``content`` starts like a MATLAB v5 file."""
+    return len(content) >= HEADER and content[126:128] in (b"IM", b"MI")
+
+
+def read_v5(file: BinaryIO, source: str, max_bytes: int, structures: bool = False) -> dict[str, np.ndarray]:
+    """Return the real numeric arrays of a MATLAB v5 file by name; together they may take ``max_bytes`` unpacked.
+
+    With ``structures`` complex arrays too, text as its character codes, and the fields of structures as ``name.field``.
+    """
+    order = "<" if file.read(HEADER)[126:128] == b"IM" else ">"
+    columns: dict[str, np.ndarray] = {}
+    left = max_bytes
+    for kind, data in _variables(file, order, source, max_bytes):
+        unpacked = _unpacked(data, source, left) if kind == COMPRESSED else data
+        left -= len(unpacked)
+        if left < 0:
+            raise RecordError(f"{source}: found more than {max_bytes} bytes unpacked, expected at most that")
+        inside = _elements(memoryview(unpacked), order, source) if kind == COMPRESSED else [(kind, data)]
+        for part, array in inside:
+            if part == ARRAY:
+                columns.update(_array(array, order, source, structures))
+    return columns
+
+
+def _variables(file: BinaryIO, order: str, source: str, max_bytes: int) -> Iterator[tuple[int, memoryview]]:
+    """Type and data of each element of the file, one at a time."""
+    while tag := file.read(8):
+        if len(tag) < 8:
+            raise _damaged(source, "it ends inside a variable")
+        kind, size = (int(word) for word in np.frombuffer(tag, dtype=f"{order}u4"))
+        if kind >> 16:  # a small element, whose data is in its tag
+            yield from _elements(memoryview(tag), order, source)
+            continue
+        data = file.read(min(size, max_bytes + 1))
+        if len(data) < size:
+            raise _damaged(source, "it ends inside a variable")
+        yield kind, memoryview(data)
+        if kind != COMPRESSED:
+            file.read(-size % 8)
+
+
+def _elements(data: memoryview, order: str, source: str) -> Iterator[tuple[int, memoryview]]:
+    """Type and data of each element; small ones keep both in the 8 bytes of a tag."""
+    at = 0
+    while at < len(data):
+        if at + 8 > len(data):
+            raise _damaged(source, "it ends inside a variable")
+        kind, size = (int(word) for word in np.frombuffer(data[at : at + 8], dtype=f"{order}u4"))
+        if kind >> 16:
+            kind, size = kind & 0xFFFF, kind >> 16
+            start, following = at + 4, at + 8
+            if size > 4:
+                raise _damaged(source, "a small element is too large")
+        else:
+            start = at + 8
+            following = start + size + (0 if kind == COMPRESSED else -size % 8)
+        if start + size > len(data):
+            raise _damaged(source, "it ends inside a variable")
+        yield kind, data[start : start + size]
+        at = following
+
+
+def _unpacked(data: memoryview, source: str, left: int) -> bytes:
+    stream = zlib.decompressobj()
+    try:
+        unpacked = stream.decompress(data, left + 1)
+    except zlib.error as error:
+        raise _damaged(source, str(error)) from error
+    if len(unpacked) <= left and not stream.eof:
+        raise _damaged(source, "it ends inside a compressed variable")
+    return unpacked
+
+
+def _array(data: memoryview, order: str, source: str, structures: bool, inside: bool = False) -> dict[str, np.ndarray]:
+    """The array of one element by its name, or nothing for what is not asked for, cells and objects."""
+    parts = list(_elements(data, order, source))
+    if not parts or len(parts[0][1]) < 4:
+        raise _damaged(source, "a variable has no flags")
+    flags = int(np.frombuffer(parts[0][1][:4], dtype=f"{order}u4")[0])
+    if structures and flags & 0xFF == STRUCTURE and not inside:
+        return _structure(parts, order, source)
+    is_complex = bool((flags >> 8) & COMPLEX)
+    wanted = flags & 0xFF in NUMERIC_CLASSES or (structures and flags & 0xFF == TEXT)
+    if not wanted or (is_complex and not structures):
+        return {}
+    shape = tuple(int(n) for n in np.frombuffer(parts[1][1], dtype=f"{order}i4")) if _whole(parts, 1) else (-1,)
+    values = _numbers(parts, 3, shape, order, source)
+    if is_complex:
+        values = values + 1j * _numbers(parts, 4, shape, order, source)
+    return {_text(parts[2][1]): values.reshape(shape, order="F")}
+
+
+def _whole(parts: list[tuple[int, memoryview]], place: int) -> bool:
+    return len(parts) > place and len(parts[place][1]) % 4 == 0
+
+
+def _numbers(
+    parts: list[tuple[int, memoryview]], place: int, shape: tuple[int, ...], order: str, source: str
+) -> np.ndarray:
+    kinds = NUMBERS | CHARACTERS
+    if len(parts) <= place or parts[place][0] not in kinds:
+        raise _damaged(source, "an array has no values")
+    number = np.dtype(kinds[parts[place][0]]).newbyteorder(cast(Any, order))
+    if not _whole(parts, 1) or len(parts[place][1]) % number.itemsize:
+        raise _damaged(source, "an array is cut off")
+    values = np.frombuffer(parts[place][1], dtype=number)
+    if min(shape, default=0) < 0 or math.prod(shape) != values.size:
+        raise _damaged(source, f"an array of shape {shape} has {values.size} values")
+    return values
+
+
+def _structure(parts: list[tuple[int, memoryview]], order: str, source: str) -> dict[str, np.ndarray]:
+    """The arrays in the fields of one structure; nothing of an array of structures, nor of one inside another."""
+    if len(parts) < 5 or not _whole(parts, 3) or len(parts[3][1]) < 4:
+        raise _damaged(source, "a structure has no fields")
+    length = int(np.frombuffer(parts[3][1][:4], dtype=f"{order}i4")[0])
+    names, fields = bytes(parts[4][1]), parts[5:]
+    if length <= 0 or len(names) // length != len(fields):
+        return {}
+    found = {}
+    for i, (kind, data) in enumerate(fields):
+        if kind == ARRAY and len(data):
+            name = f"{_text(parts[2][1])}.{_text(names[i * length : (i + 1) * length])}"
+            for values in _array(data, order, source, True, inside=True).values():
+                found[name] = values
+    return found
+
+
+def _text(data: memoryview | bytes) -> str:
+    return bytes(data).partition(b"\0")[0].decode("ascii", "replace")
+
+
+def _damaged(source: str, what: str) -> RecordError:
+    return RecordError(f"{source}: damaged MATLAB v5 file ({what}); save it again")
+
+
+def is_v73(content: bytes) -> bool:
+    """Whether ``content`` is HDF5, with or without MATLAB's header before it."""
+    return any(content[at : at + 8] == HDF5 for at in HDF5_OFFSETS)
+
+
+def read_v73(file: BinaryIO, source: str, max_bytes: int, structures: bool = False) -> dict[str, np.ndarray]:
+    """Return the numeric arrays of a MATLAB v7.3 file by name; together they may take ``max_bytes`` unpacked.
+
+    With ``structures`` complex arrays too, and the fields of structures as ``name.field``.
+    """
+    import h5py
+
+    def arrays(group: h5py.Group, before: str, left: int) -> dict[str, np.ndarray]:
+        columns: dict[str, np.ndarray] = {}
+        for name in group:
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                continue  # a soft or external link may lead anywhere
+            data = group[name]
+            if isinstance(data, h5py.Group):
+                if structures and not before:
+                    inside = arrays(data, f"{name}.", left)
+                    left -= sum(values.nbytes for values in inside.values())
+                    columns.update(inside)
+                continue
+            pair = structures and data.dtype.names == ("real", "imag")
+            if not isinstance(data, h5py.Dataset) or not (data.dtype.kind in "buif" or pair):
+                continue
+            if data.external or data.is_virtual:
+                raise RecordError(f"{source}: column {name!r}: found data kept outside the file, expected it inside")
+            if data.attrs.get("MATLAB_empty", 0) or data.shape is None:
+                continue
+            left -= data.dtype.itemsize * math.prod(data.shape)
+            if left < 0:
+                raise RecordError(f"{source}: found more than {max_bytes} bytes of arrays, expected at most that")
+            values = data[()]
+            columns[before + name] = values["real"] + 1j * values["imag"] if pair else values
+        return columns
+
+    try:
+        with h5py.File(file, "r") as opened:
+            return arrays(opened, "", max_bytes)
+    except RecordError:
+        raise
+    except Exception as error:  # whatever a damaged file makes the reader raise, it is one thing to the user
+        raise RecordError(
+            f"{source}: damaged MATLAB v7.3 file ({error or type(error).__name__}); save it again"
+        ) from error

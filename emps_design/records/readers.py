@@ -13,12 +13,10 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 
 from emps_design.errors import InputError, RecordError, one_line
-from emps_design.records.archives import read_archive
+from emps_design.records.archives import is_v5, is_v73, read_archive, read_v5, read_v73
 from emps_design.records.check import CUT, PLAIN, SHORTEST, checked
 from emps_design.records.columns import NAMES, RECORD, column_titles
 from emps_design.records.layout import NAMED, Layout, assign
-from emps_design.records.matlab_v5 import is_v5, read_v5
-from emps_design.records.matlab_v73 import is_v73, read_v73
 from emps_design.records.record import MEASURED, Record
 from emps_design.records.tables import read_table, table_titles
 

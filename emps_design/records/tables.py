@@ -1,37 +1,390 @@
-"""Text tables as drives export them: ; , tab or space, decimal point or comma, a preamble, comments, encodings."""
+"""Text tables as drives export them: ; , tab or space, decimal point or comma, a preamble, comments, encodings.
+
+Where the table of a text file begins, told by its shape: a preamble, comments, rows of titles and of units above it.
+
+The samples are the first rows of numbers that are alike. What stands between their cells is what makes most of them
+numbers: a semicolon, a tab, a comma, or white space. The titles are a row above them with as many cells, commented or
+not; in the row below it a cell may be the unit of the title above, or the plainer title of the two.
+
+TwinCAT Scope exports: a header block for each channel, and a time column for each channel or for several.
+
+Above the samples stand rows that begin with what they hold (Name, Data-Type, SampleTime[ms], SymbolName, Unit ...). A
+column under the word itself is a time in ms (or in file time, 100 ns), the others are the channels that share it.
+Format: Beckhoff Information System, TE13xx, "Export to csv".
+"""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from typing import BinaryIO, TextIO
 
 import numpy as np
 
 from emps_design.errors import RecordError, one_line
 from emps_design.records.check import CUT
-from emps_design.records.header import (
-    COMMENT,
-    LOOKED_AT,
-    SPACE,
-    Choice,
-    find_header,
-    is_comment,
-    number,
-    split,
-)
+from emps_design.records.columns import column_titles, plain_title
 from emps_design.records.layout import LONGEST
-from emps_design.records.scope import is_scope, read_scope, scope_titles
+from emps_design.units import is_unit, spelled
+
+SPACE = " "  # any white space
+DELIMITERS = (";", "\t", ",")
+LOOKED_AT = 400  # lines, among which the first samples are expected
+COMMENT = "#"
+COMMENTS = (COMMENT, "%", "//")
+_ALIKE = 3  # lines of numbers in a row that are samples: a preamble has no such block
+_OTHER_UNIT = re.compile(r"°C|K|[mk]?Hz|[mk]?W|bar|m?Pa|(\w+|°)/(s|min)(\^?[23]|[²³])?")  # of columns that are not read
+
+Choice = Callable[[list[str]], Sequence[object]]  # of titles, those that mean something
+
+TIME = "time [ms]"  # what the time columns, which have no title, are called here
+NAMES, SAMPLE_TIME, UNIT, SCALE = "Name", "SampleTime[ms]", "Unit", "Unit ScaleFactor"
+FILE_TIME = 1e15  # above it a time is in ticks of 100 ns since 1601, not in ms since the start
+TICK = 1e-4  # ms
 
 LONGEST_LINE = 100_000  # characters
 HEAD = 1 << 16  # bytes that say which encoding it is
 PIECE = 1 << 20  # characters that are looked through at a time
 BLOCK = 50_000  # rows that are read at a time
 END = "EOF"  # what some exports write below the last sample
+
+
+@dataclass(frozen=True)
+class Header:
+    """``delimiter`` and ``titles`` of a table, and the line (from 0) that has the first sample."""
+
+    delimiter: str
+    titles: list[str]
+    samples: int
+
+
+def find_header(lines: Sequence[str], known: Choice, source: str) -> Header:
+    """Find titles and samples in the first ``lines`` of a file; raises :class:`RecordError` where there are none.
+
+    Of several rows that could be the titles, the one in which ``known`` finds something is taken, the last of them
+    otherwise. A table without titles has the columns data:0, data:1 ..., where ``known`` finds something in these.
+
+    >>> find_header(["Trace;12", "t [ms];q", "0,0;1", "0,5;2", "1,0;3"], lambda titles: [], "a.csv")
+    Header(delimiter=';', titles=['t [ms]', 'q'], samples=2)
+    >>> find_header(["# Axis 1", "# t speed", "# ms r/min", "0 1", "1 2", "2 3"], lambda titles: [], "a.txt")
+    Header(delimiter=' ', titles=['t [ms]', 'speed [r/min]'], samples=3)
+    """
+    start, delimiter = _first_samples(lines)
+    if start is None:
+        start, line = next(((i, x) for i, x in enumerate(lines) if x.strip() and not is_comment(x)), (0, ""))
+        if not line:
+            raise RecordError(f"{source}: found no rows, expected a header and samples")
+        delimiter = max((*DELIMITERS, SPACE), key=line.count)
+        titles = _titles(line, delimiter)
+        if all(number(title) is not None for title in titles):
+            raise _no_titles(source, start)
+        return Header(delimiter, titles, start + 1)
+    width = len(split(lines[start], delimiter))
+    above = [line for line in reversed(lines[:start]) if line.strip()]
+    plain = [line for line in above if not is_comment(line)]
+    candidates = _candidates(plain, delimiter, width)
+    candidates += _candidates([_uncommented(line) for line in above if is_comment(line)], delimiter, width)
+    if not candidates and delimiter != SPACE:
+        candidates = [
+            row for row in (_titles(_uncommented(line), delimiter) for line in plain or above) if len(row) > 1
+        ]
+        del candidates[1:]
+    numbered = column_titles("data", width)
+    titles = next((row for row in [*candidates, numbered] if _finds(known, row)), (candidates or [[]])[0])
+    if not titles:
+        raise _no_titles(source, start)
+    return Header(delimiter, titles, start)
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line is a comment.
+
+    >>> is_comment("  # Friday"), is_comment("% of rated"), is_comment("t;q")
+    (True, True, False)
+    """
+    return line.lstrip().startswith(COMMENTS)
+
+
+def number(cell: str) -> float | None:
+    """The number in a cell, with a decimal point or comma, or hexadecimal as the word of a state, or None."""
+    try:
+        if cell.strip()[:2].lower() == "0x":
+            return float(int(cell, 16))
+        return float(cell.replace(",", ".", 1)) if "_" not in cell else None
+    except ValueError:
+        return None
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """The cells of a line; quotes keep a delimiter inside.
+
+    >>> split("1;2", ";"), split('  1   "a b" ', SPACE)
+    (['1', '2'], ['1', 'a b'])
+    """
+    line = line.strip() if delimiter == SPACE else line.rstrip("\r\n")
+    if '"' in line:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter == SPACE), [])
+    return line.split() if delimiter == SPACE else line.split(delimiter)
+
+
+def _first_samples(lines: Sequence[str]) -> tuple[int | None, str]:
+    """The first of several lines of numbers that are alike, and what delimits their cells; None where there is none."""
+    best: tuple[tuple[float, int], int, str] | None = None
+    for delimiter in (*DELIMITERS, SPACE):
+        shapes = [_shape(line, delimiter) for line in lines]
+        for i, shape in enumerate(shapes):
+            block = [other for other in shapes[i:] if other is not None][:_ALIKE]
+            if shape is None or shape[0] < 0.5 or shape[1] < 2:
+                continue
+            if all(other[0] >= 0.5 and abs(other[2] - shape[2]) <= 1 for other in block):
+                # Spaces may stand behind other delimiters too: they only count where these leave words.
+                key = (shape[0], shape[1] if delimiter != SPACE else 0)
+                if best is None or key > best[0]:
+                    best = key, i, delimiter
+                break
+    return (best[1], best[2]) if best else (None, ";")
+
+
+def _shape(line: str, delimiter: str) -> tuple[float, int, int] | None:
+    """Share and count of numbers among the filled cells of a line, and its cells; None for a blank one or a comment."""
+    if not line.strip() or is_comment(line):
+        return None
+    cells = split(line, delimiter)
+    filled = [cell for cell in cells if cell.strip()]
+    numbers = sum(number(cell) is not None for cell in filled)
+    return numbers / max(len(filled), 1), numbers, len(cells)
+
+
+def _candidates(lines: Sequence[str], delimiter: str, width: int) -> list[list[str]]:
+    """What may be the titles of ``width`` columns in ``lines``, the last line first: two rows together, and each."""
+    near = 0 if delimiter == SPACE else 1  # a row may end with a delimiter
+    rows = [row for row in (_titles(line, delimiter, width) for line in lines) if len(row) >= 2]
+    rows = [row for row in rows if abs(len(row) - width) <= near]
+    found = []
+    for row, above in pairwise([*rows, []]):
+        both = _with_units(above, row)
+        found += [row] if both is None else [both] if all(map(_unit_in, row)) else [both, row]
+    return found
+
+
+def _titles(line: str, delimiter: str, width: int = 0) -> list[str]:
+    """The titles in a line. Between white space they may have some inside, where two or a bracket tell their end."""
+    titles = [cell.strip() for cell in split(line, delimiter)]
+    while titles and not titles[-1]:
+        titles.pop()
+    if delimiter == SPACE and len(titles) > width > 0:
+        for ends in (r"\s{2,}|\t", r"(?<=[\])])\s+", r"\s+(?![\[(])"):
+            parts = re.split(ends, line.strip())
+            if len(parts) == width:
+                return parts
+    return titles
+
+
+def _unit_in(cell: str) -> str | None:
+    """The unit that a cell is, in brackets or not, "" where it says that there is none, None where it is no unit."""
+    inner = cell.strip("[]() ")
+    if is_unit(inner):
+        return inner if spelled(inner) else ""
+    return inner if _OTHER_UNIT.fullmatch(inner) else None
+
+
+def _with_units(titles: list[str], row: list[str]) -> list[str] | None:
+    """``titles`` with what the ``row`` below them adds, a unit or a plainer title; None where it has no unit."""
+    cells = [*row, *[""] * (len(titles) - len(row))]
+    units = list(map(_unit_in, cells))
+    if len(titles) < len(row) or not any(units):
+        return None
+    both = []
+    for title, unit, cell in zip(titles, units, cells, strict=True):
+        more = bool(unit) and not plain_title(title)[1]
+        both.append(cell if unit is None else f"{title} [{unit}]" if more else title)
+    return both
+
+
+def _uncommented(line: str) -> str:
+    line = line.strip()
+    mark = next((mark for mark in COMMENTS if line.startswith(mark)), "")
+    return line.lstrip(mark).strip() if mark else line
+
+
+def _finds(known: Choice, titles: list[str]) -> bool:
+    try:
+        return bool(known(titles))
+    except RecordError:
+        return False
+
+
+def _no_titles(source: str, line: int) -> RecordError:
+    return RecordError(
+        f"{source}: row {line + 1}: found numbers, expected a header such as t;q_ref;q;u, or a [record] table of the "
+        "columns data:0, data:1 ..."
+    )
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Columns of an export on one clock, by title; all titles; the row of its first sample; what was done."""
+
+    columns: dict[str, np.ndarray]
+    titles: tuple[str, ...]
+    first_row: int
+    notes: tuple[str, ...]
+
+
+def is_scope(lines: Sequence[str]) -> bool:
+    """Whether the first ``lines`` of a file are the header of such an export."""
+    starts = {re.split(r"[;,\t]", line, maxsplit=1)[0].strip() for line in lines[:60]}
+    return NAMES in starts and SAMPLE_TIME in starts
+
+
+def read_scope(lines: Iterable[str], rows: int, source: str, known: Choice) -> Scope:
+    """Read the channels in whose titles ``known`` finds a meaning, all at the times of the one sampled most often.
+
+    A slower channel is interpolated; a note says so.
+    """
+    numbered = enumerate(lines, 1)
+    header, first, row = _header(numbered, source)
+    names = header.rows[NAMES]
+    clock_of, place_of = _channels(header)
+    titles = (TIME, *place_of)
+    chosen = [str(title) for title in known(list(titles)) if str(title) in place_of]
+    if not chosen or min(clock_of.values()) < 0:
+        raise RecordError(
+            f"{source}: found {'no channel' if not chosen else 'no time columns'}, expected some in the export"
+        )
+    wanted = sorted({place_of[title] for title in chosen} | {clock_of[title] for title in chosen})
+    samples = chain([row], (line for _, line in numbered))
+    table = _numbers(samples, header.delimiter, wanted, source, first, rows, names)
+    at = {column: k for k, column in enumerate(wanted)}
+    return _on_one_clock(
+        {title: (table[:, at[clock_of[title]]], table[:, at[place_of[title]]]) for title in chosen},
+        titles,
+        first,
+        source,
+        _scaled(header.rows, place_of, chosen),
+    )
+
+
+def scope_titles(lines: Sequence[str], source: str) -> tuple[str, ...]:
+    """The titles of time and channels in the first ``lines`` of an export."""
+    return (TIME, *_channels(_header(enumerate(lines, 1), source)[0])[1])
+
+
+def _channels(header: _Header) -> tuple[dict[str, int], dict[str, int]]:
+    """The columns of time and of values of each channel, by its title."""
+    clock_of: dict[str, int] = {}
+    place_of: dict[str, int] = {}
+    clock, units = -1, header.rows.get(UNIT, [])
+    for column, name in enumerate(header.rows[NAMES]):
+        if name == NAMES:
+            clock = column
+        elif name:
+            unit = units[column].split(" ")[0] if column < len(units) else ""
+            title = f"{name} [{unit}]" if unit and not unit.startswith("(") else name
+            clock_of[title], place_of[title] = clock, column
+    return clock_of, place_of
+
+
+@dataclass(frozen=True)
+class _Header:
+    delimiter: str
+    rows: dict[str, list[str]]  # by what stands in their first cell
+
+
+def _header(numbered: Iterator[tuple[int, str]], source: str) -> tuple[_Header, int, str]:
+    """The rows above the samples, and number and text of the first that is one."""
+    rows: dict[str, list[str]] = {}
+    delimiter = ""
+    for place, row in numbered:
+        if not delimiter:
+            delimiter = next((d for d in DELIMITERS if row.startswith(f"{NAMES}{d}")), "")
+        cells = [cell.strip() for cell in split(row, delimiter)] if delimiter else []
+        if rows and cells and number(cells[0]) is not None:
+            return _Header(delimiter, rows), place, row
+        if cells and cells[0]:
+            rows[cells[0]] = cells  # the row Name of the file comes before that of the channels
+    raise RecordError(f"{source}: found a header and no samples")
+
+
+def _numbers(
+    lines: Iterable[str], delimiter: str, wanted: list[int], source: str, first: int, rows: int, names: list[str]
+) -> np.ndarray:
+    """The ``wanted`` columns, (rows, wanted); NaN where a channel has ended before the others."""
+    table, filled = np.empty((rows, len(wanted))), 0
+    for i, line in enumerate(lines):
+        cells = split(line.replace(",", ".") if delimiter != "," else line, delimiter)
+        if len(cells) <= wanted[0] or not any(cells):
+            continue  # a blank line, or the word that ends the file
+        for k, column in enumerate(wanted):
+            cell = cells[column].strip() if column < len(cells) else ""
+            value = number(cell) if cell else np.nan
+            if value is None:
+                if cell == "EOF":
+                    return table[:filled]
+                raise RecordError(
+                    f"{source}: row {first + i}, column {names[column]!r}: found {cell[:40]!r}, expected a number"
+                )
+            table[filled, k] = value
+        filled += 1
+    return table[:filled]
+
+
+def _on_one_clock(
+    channels: dict[str, tuple[np.ndarray, np.ndarray]],
+    titles: tuple[str, ...],
+    first: int,
+    source: str,
+    notes: tuple[str, ...],
+) -> Scope:
+    """Every channel at the times of the fastest, from where the last begins to where the first ends."""
+    filled: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for title, (t, values) in channels.items():
+        there = np.isfinite(t) & np.isfinite(values)
+        if np.count_nonzero(there) < 2:
+            raise RecordError(
+                f"{source}: column {title!r}: found fewer than two samples, expected as many as elsewhere"
+            )
+        filled[title] = (t[there] * (TICK if t[there][0] > FILE_TIME else 1.0), values[there])
+        if np.any(np.diff(filled[title][0]) <= 0):
+            row = int(np.argmax(np.diff(filled[title][0]) <= 0)) + 1
+            raise RecordError(f"{source}: time of {title!r}, row {first + row}: found no later time than before")
+    steps = {title: float(np.median(np.diff(t))) for title, (t, _) in filled.items()}
+    fastest = min(steps, key=lambda title: (steps[title], list(steps).index(title)))
+    low = max(float(t[0]) for t, _ in filled.values())
+    high = min(float(t[-1]) for t, _ in filled.values())
+    t = filled[fastest][0]
+    inside = slice(int(np.searchsorted(t, low - 1e-9)), int(np.searchsorted(t, high + 1e-9)))
+    t = t[inside]
+    if t.size < 2:
+        raise RecordError(f"{source}: the channels have no time in common, expected one recording")
+    said = list(notes)
+    columns = {TIME: t - t[0]}
+    for title, (own, values) in filled.items():
+        own_part = own[inside]
+        if own_part.size == t.size and np.array_equal(own_part, t):
+            columns[title] = values[inside]
+            continue
+        columns[title] = np.interp(t, own, values)
+        said.append(
+            f"{title}: sampled every {steps[title]:g} ms, interpolated at the times of {fastest}"
+            f" (every {steps[fastest]:g} ms)"
+        )
+    return Scope(columns, titles, first, tuple(said))
+
+
+def _scaled(header: dict[str, list[str]], place_of: dict[str, int], chosen: list[str]) -> tuple[str, ...]:
+    """A note for each channel to which the Scope gave a scale of its own: only the export knows whether it is in."""
+    factors = header.get(SCALE, [])
+    return tuple(
+        f"{title}: the Scope's unit has the scale {factors[place_of[title]]}; values are taken as they stand"
+        for title in chosen
+        if place_of[title] < len(factors) and number(factors[place_of[title]]) not in (1.0, None)
+    )
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from emps_design.report.page import Page, Section
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
-    from emps_design.control.loop.nested import NestedLoop
-    from emps_design.control.velocity.structure import Structure
+    from emps_design.control.nested_loops import NestedLoop
+    from emps_design.control.velocity.gains import Structure
     from emps_design.identification.identify import Identification
     from emps_design.laws.library.cascade import Filter
     from emps_design.records import Record
@@ -186,7 +186,7 @@ def assemble_report(
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     measured = None
     if response is not None:
-        from emps_design.frequency_response.comparison import Comparison
+        from emps_design.frequency_response.coupling import Comparison
         from emps_design.report.frequency_response import response_section
 
         measured = response_section(Comparison(response, loaded))
@@ -211,8 +211,8 @@ def assemble_report(
             cautions = (f"impedance law, {assessed.headline}",)
     loops: tuple[NestedLoop, ...] = ()
     if controller.kind != NONE and get_law(controller.kind).loops:
-        from emps_design.control.loop.nested import nested_loops
-        from emps_design.report.controller import controller_section
+        from emps_design.control.nested_loops import nested_loops
+        from emps_design.report.velocity import controller_section
 
         loops = nested_loops(loaded)
         parts.append(controller_section(loops, velocity.kept_loops))

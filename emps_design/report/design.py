@@ -8,20 +8,27 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from emps_design.advice import Advice
-from emps_design.control.loop.nested import VELOCITY_LOOP
-from emps_design.control.loop.worst import where_in_words
-from emps_design.report.advice import advice_callout
+from emps_design.control.nested_loops import VELOCITY_LOOP, where_in_words
 from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, sentence_of, symbol
-from emps_design.report.drive import drive_section
-from emps_design.report.footer import inputs_table, versions
-from emps_design.report.force import force_section
-from emps_design.report.page import Callout, Facts, Html, Page, Points, Section, Table, Text
-from emps_design.report.velocity import gains_section, velocity_section
+from emps_design.report.page import (
+    Callout,
+    Facts,
+    Html,
+    Page,
+    Points,
+    Section,
+    Table,
+    Text,
+    advice_callout,
+    inputs_table,
+    versions,
+)
+from emps_design.report.velocity import drive_section, force_section, gains_section, velocity_section
 
 if TYPE_CHECKING:
-    from emps_design.control.force.design import ForceLoopDesign
-    from emps_design.control.loop.margins import Margins
-    from emps_design.control.loop.nested import NestedLoop
+    from emps_design.control.force import ForceLoopDesign
+    from emps_design.control.margins import Margins
+    from emps_design.control.nested_loops import NestedLoop
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.verdict import DesignVerdict
 
@@ -76,7 +83,7 @@ def design_results(
 
     Without ``k_e1`` there is no force loop.
     """
-    from emps_design.control.force.design import design_force_loop
+    from emps_design.control.force import design_force_loop
 
     return DesignResults(
         velocity=velocity,

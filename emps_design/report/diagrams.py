@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from emps_design.control.velocity.structure import Structure
+    from emps_design.control.velocity.gains import Structure
 
 Point = tuple[float, float]
 

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.frequency_response.comparison import Comparison
-from emps_design.frequency_response.coupling import MassChain
-from emps_design.frequency_response.resonances import resonances
-from emps_design.frequency_response.response import BAND
+from emps_design.frequency_response.coupling import Comparison, MassChain
+from emps_design.frequency_response.response import BAND, resonances
 from emps_design.report.display import NOTHING, number
 from emps_design.report.page import Callout, Picture, Section, Table, Text
 from emps_design.report.style import BLUE, GREEN, GREY, RED, look, plain_subplots

@@ -1,16 +1,24 @@
-"""A page: a title, a summary first, sections of text, tables and pictures; one HTML file that needs nothing else."""
+"""A page: a title, a summary first, sections of text, tables and pictures; one HTML file that needs nothing else.
+
+What makes a page repeatable: the versions that made it and the SHA-256 of every input. No clock.
+
+The box with the advice on a result: the first on its page.
+"""
 
 from __future__ import annotations
 
+import platform
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from html import escape
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from emps_design.advice import CAUTION, DO_NOT_RUN, SAFE, Advice
 from emps_design.errors import printable
-from emps_design.report.display import NOTHING, number
+from emps_design.report.display import NOTHING, number, sentence_of
 from emps_design.report.style import labelled, svg
 from emps_design.units import Units
 
@@ -19,6 +27,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CALLOUTS = ("stop", "warning", "note", "good")
+
+PACKAGES = ("emps-design", "numpy", "scipy", "control", "sympy", "matplotlib")
+
+LEVELS = {SAFE: ("good", "Safe."), CAUTION: ("warning", "Caution."), DO_NOT_RUN: ("stop", "Do not run this.")}
 
 
 class Html(str):
@@ -234,3 +246,22 @@ def _environment() -> Environment:
     environment.globals["drawing"] = _drawing
     environment.tests["numeric"] = _is_number
     return environment
+
+
+def versions() -> str:
+    """Return the versions of Python and of the packages that computed and drew the page, in one line."""
+    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES[1:])
+    return f"Made by {PACKAGES[0]} {version(PACKAGES[0])} with Python {platform.python_version()}, {packages}."
+
+
+def inputs_table(inputs: Mapping[str, str | None]) -> Table:
+    """Return the SHA-256 of every input by name."""
+    rows = [[name, html("<code>{}</code>", digest) if digest else "built in"] for name, digest in inputs.items()]
+    return Table(["input", "SHA-256"], rows, "Every input of this page; the same inputs give the same bytes.")
+
+
+def advice_callout(advice: Advice) -> Callout:
+    """The box that says what to do with a result."""
+    level, title = LEVELS[advice.level]
+    further = (html("Next: <code>{}</code>", advice.next),) if advice.next else ()
+    return Callout(level, title, sentence_of(advice.text), further)

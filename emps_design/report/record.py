@@ -1,4 +1,13 @@
-"""The sections about a record: what it holds, the parameters it gives, and the force they explain."""
+"""The sections about a record: what it holds, the parameters it gives, and the force they explain.
+
+Pictures of a record: what was measured, and the force that the identified model explains.
+
+The page of an import: which column was taken for what, and what the record looks like.
+
+The external force that was observed, method by method, as pictures and a table.
+
+The blocks about a controller that was told from a record: its table, its numbers, what it leaves.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +15,85 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from emps_design.importing.account import HEADINGS, Account
 from emps_design.report.display import NOTHING, number, quantity, words
-from emps_design.report.page import Callout, Picture, Section, Table, Text
-from emps_design.report.record_figures import force_figure, record_figure
+from emps_design.report.page import Callout, Listing, Page, Picture, Section, Table, Text
+from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, YELLOW, look, subplots, thin
+from emps_design.units import Units
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from emps_design.axis import Axis
+    from emps_design.identification.controller import LawEstimate
     from emps_design.identification.identify import Identification
+    from emps_design.identification.observation import Observation
     from emps_design.records import Record
+
+_COLORS = {"offline": BLUE, "online": RED, "kalman": GREEN}
+
+
+def record_figure(record: Record, units: Units | None = None) -> Figure:
+    """Draw position and command of ``record``, and the external force where one was measured, in the axis's units."""
+    units = units or Units()
+    unit, factor = units.display(0.5, "m")
+    rows = [(f"{units.words('position')} [{unit}]", factor * record.q, BLUE)]
+    rows.append((units.label("voltage [V]"), record.u, BLACK))
+    if record.f_ext is not None:
+        rows.append((units.label("external force [N]"), record.f_ext, RED))
+    with look():
+        figure, grid = subplots(len(rows), 1, height=1.35 * len(rows) + 0.3, sharex=True)
+        for axes, (label, y, color) in zip(grid, rows, strict=True):
+            axes.plot(*thin(record.t, y), color=color, linewidth=1.0)
+            axes.set_ylabel(label)
+            axes.margins(x=0.01)
+        grid[-1].set_xlabel("time [s]")
+        figure.align_ylabels(grid)
+    return figure
+
+
+def force_figure(found: Identification) -> Figure:
+    """Draw measured and identified force over the record, one part of it enlarged, and the residual.
+
+    Samples that the identification left out are gaps.
+    """
+    t, measured, model = (np.asarray(found.series[key]) for key in ("t", "measured", "model"))
+    used = np.asarray(found.series["used"], dtype=bool)
+    error = np.where(used, measured - model, np.nan)
+    low, high = _window(t, measured)
+    inside = (t >= low) & (t <= high)
+    with look():
+        figure, (top, middle, bottom) = subplots(3, 1, height=6.2)
+        for axes, rows in ((top, slice(None)), (middle, inside)):
+            for label, force, color, width in (
+                ("measured", measured, BLACK, 1.8),
+                ("identified model", model, RED, 1.1),
+            ):
+                x, y = thin(t[rows], force[rows])
+                left_out = np.interp(x, t, used) < 0.5
+                axes.plot(x, np.where(left_out, np.nan, y), color=color, linewidth=width, label=label)
+            axes.set_ylabel("motor force [N]")
+            axes.margins(x=0.01)
+        top.axvspan(low, high, color=YELLOW, alpha=0.35, linewidth=0)
+        top.set(title="the whole record", ylim=(top.get_ylim()[0], top.get_ylim()[1] + 0.25 * np.ptp(top.get_ylim())))
+        top.legend(loc="upper right", ncols=2)
+        middle.set_title(f"{low:.3g} s to {high:.3g} s")
+        bottom.plot(t, error, color=BLUE, linewidth=0.9)
+        bottom.axhline(0.0, color=GREY, linewidth=0.8)
+        bottom.set(title="residual", ylabel="measured − model [N]", xlabel="time [s]")
+        bottom.margins(x=0.01)
+        figure.align_ylabels((top, middle, bottom))
+    return figure
+
+
+def _window(t: np.ndarray, force: np.ndarray) -> tuple[float, float]:
+    """An eighth of the record around its largest force, where something happens."""
+    length = (t[-1] - t[0]) / 8.0
+    centre = float(t[int(np.argmax(np.abs(force)))])
+    low = min(max(float(t[0]), centre - 0.5 * length), float(t[-1]) - length)
+    return low, low + length
 
 
 def record_section(record: Record, found: Sequence[Identification], axis: Axis) -> Section:
@@ -112,4 +192,94 @@ def _quality_table(found: Sequence[Identification]) -> Table:
             for one in found
         ],
         "How well each model explains the force.",
+    )
+
+
+def import_page(account: Account) -> Page:
+    """Return the page on an import: what was taken for what, and a picture of the record."""
+    record, units, said = account.record, account.axis.units, account.notes
+    notes = Callout("warning", "What was done and noticed", items=said)
+    section = Section(
+        f"Record {record.name}",
+        Text(
+            f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all, "
+            f"read for the axis {account.axis.name}."
+        ),
+        Table(HEADINGS, account.rows),
+        Picture(record_figure(record, units), "The record as it was read.", "Record"),
+        notes if said else None,
+    )
+    return Page(f"Import of {record.name}", "", (), (section,), units=units)
+
+
+def observation_figure(found: Observation) -> Figure:
+    """Draw the external force by every method, and the measured one where the record has it."""
+    with look():
+        figure, grid = subplots(
+            len(found.methods), 1, height=1.7 * len(found.methods) + 0.4, sharex=True, squeeze=False
+        )
+        for axes, (name, method) in zip(grid.flat, found.methods.items(), strict=True):
+            axes.plot(
+                *thin(found.t, method.force), color=_COLORS.get(name, BLUE), linewidth=1.0, label=f"observed, {name}"
+            )
+            if found.f_ext is not None:
+                axes.plot(*thin(found.t, found.f_ext), color=BLACK, linewidth=1.2, label="measured")
+            least = method.smallest.value
+            axes.axhspan(-least, least, color="#E5E7EB", linewidth=0, label="cannot be told from errors")
+            axes.set_ylabel("force [N]")
+            axes.legend(loc="upper right", ncols=3)
+            axes.set_ylim(axes.get_ylim()[0], axes.get_ylim()[1] + 0.3 * (axes.get_ylim()[1] - axes.get_ylim()[0]))
+            axes.margins(x=0.01)
+        grid.flat[-1].set_xlabel("time [s]")
+    return figure
+
+
+def observation_blocks(found: Observation) -> tuple[Any, ...]:
+    """Return picture, table and warnings of an observation."""
+    rows = [
+        [
+            name,
+            NOTHING if method.rms_error is None else quantity(method.rms_error, "N"),
+            quantity(method.delay, "s"),
+            quantity(method.smallest.value, "N"),
+            method.smallest.bound.replace("_", " "),
+        ]
+        for name, method in found.methods.items()
+    ]
+    return (
+        Picture(
+            observation_figure(found),
+            "Force on the carriage from motor force and motion, (19). Inside the grey band a force cannot be told from "
+            "the errors of model and noise.",
+            "Observed external force",
+        ),
+        Table(
+            ["method", "rms error", "delay", "smallest observable force", "what bounds it"],
+            rows,
+            f"Observers on {found.record} with the axis {found.axis}.",
+        ),
+        Callout("warning", "To read with the numbers", items=found.warnings) if found.warnings else None,
+    )
+
+
+def law_blocks(found: LawEstimate) -> tuple[Any, ...]:
+    """Return the blocks of a page about ``found``: verdict, table, deviations, residual, notes."""
+    if found.controller is None:
+        near = f"The closest law, which is not the machine's: {found.closest_in_words}." if found.closest else ""
+        said = (near, *found.notes) if near else found.notes
+        return (Callout("warning", f"{found.verdict}: {found.reason}."), *map(Text, said))
+    rows = [
+        [name, value, std, f"{abs(100.0 * std / value):.2g} %" if value else ""] for name, value, std in found.numbers
+    ]
+    left = []
+    if found.residual_rms is not None and found.residual_share is not None:
+        share = f"{100.0 * found.residual_share:.3g} % of the command's deviation"
+        left.append(Text(f"The law leaves {found.residual_rms:.4g} {found.command_unit} rms of the command, {share}."))
+    words = f"{found.verdict}{f', {found.reason}' if found.reason else ''}."
+    return (
+        Callout("good" if found.verdict == "told" else "warning", words),
+        Listing(found.to_toml()),
+        Table(["number", "value", "standard deviation", ""], rows, "Numbers of the controller, as in the axis file."),
+        *left,
+        *map(Text, found.notes),
     )

@@ -1,19 +1,49 @@
-"""The sections on the velocity loop: axis and gains, and its Bode, Nyquist, poles and step response."""
+"""The sections on the velocity loop and the force loop: gains, margins, Bode, Nyquist, poles, step response.
+
+The sections on the velocity loop: axis and gains, and its Bode, Nyquist, poles and step response.
+
+The section for the person at the drive: the code to paste, the room below the limit, what a wrong model does.
+
+The section on the force loop: stable or not, margins, and how large its gain may be.
+
+Pictures of the force loop: how large k_e1 may be, and the loop at the gain chosen.
+
+The section on the controller that the axis file has: its loops within one another, each with its margins.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from emps_design.report.diagrams import velocity_and_force_loop_diagram
-from emps_design.report.display import angle, frequency, number, quantity, symbol
-from emps_design.report.loop_figures import bode_figure, nyquist_figure, parts_figure, poles_figure, step_figure
-from emps_design.report.loops import broken_loops
-from emps_design.report.page import Html, Picture, Section, Table, Text
+from emps_design.report.display import NOTHING, angle, delay, frequency, number, quantity, ratio, symbol
+from emps_design.report.loop_figures import (
+    bode_figure,
+    broken_loops,
+    nyquist_figure,
+    nyquist_plane,
+    parts_figure,
+    poles_figure,
+    step_figure,
+    z_plane,
+)
+from emps_design.report.page import Callout, Html, Listing, Picture, Section, Table, Text
+from emps_design.report.style import BLACK, BLUE, GREEN, RED, look, subplots
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from emps_design.control.force import ForceLoopDesign
+    from emps_design.control.nested_loops import NestedLoop
+    from emps_design.control.velocity.comparison import StepResponse
     from emps_design.control.velocity.design import VelocityLoopDesign
-    from emps_design.control.velocity.step_response import StepResponse
 
 ACTS_ON = {
     "ip": "integral of the error, proportional on the velocity",
@@ -23,6 +53,10 @@ AT_THE_PLANT_INPUT = {
     "ip": "It crosses 0 dB at a higher frequency, where the same delay costs more phase",
     "pi": "With PI it is the loop broken at the velocity error",
 }
+
+MISMATCH = 0.02  # the error of Section IV-B of the paper
+
+WALLS = np.geomspace(1.0 / 30.0, 30.0, 22)  # times the design's own
 
 
 def gains_section(velocity: VelocityLoopDesign) -> Section:
@@ -84,7 +118,7 @@ def _parameters(effect: Any) -> str:
 
 def velocity_section(velocity: VelocityLoopDesign) -> Section:
     """Return the section on the loop: Bode, Nyquist, poles and its step response, sampled too where that is stable."""
-    from emps_design.control.velocity.step_response import step_responses
+    from emps_design.control.velocity.comparison import step_responses
 
     error, plant = broken_loops(velocity)
     step, sampled = step_responses(velocity)
@@ -155,3 +189,219 @@ def velocity_section(velocity: VelocityLoopDesign) -> Section:
             "Step response of the closed velocity loop.",
         ),
     )
+
+
+def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> Section:
+    """Return the section on the implementation of ``velocity``; ``mismatch`` is the relative error studied."""
+    from emps_design.control.velocity.design import (
+        difference_equation,
+        encoder_voltage_noise,
+        largest_velocity_step,
+    )
+    from emps_design.control.velocity.load_range import margins_under_mismatch, relative_mismatch
+
+    axis = velocity.axis
+    equation = difference_equation(axis, velocity.k_v1, velocity.t_v, velocity.structure, velocity.filters)
+    blocks: list[Any] = [
+        Listing("\n".join(equation.lines), "The law with its numbers, once a sample: q [m], v_ref [m/s], u [V].")
+    ]
+    if velocity.sampled.stable:
+        step = largest_velocity_step(axis, velocity.sampled)
+        noise = encoder_voltage_noise(axis, velocity.sampled)
+        blocks.append(
+            Table(
+                ["quantity", "value", "meaning"],
+                [
+                    [
+                        "largest velocity step",
+                        quantity(step["value"], "m/s"),
+                        f"from rest, below the voltage limit of {quantity(step['voltage_limit'], 'V', 3)}; "
+                        f"{quantity(step['dry_friction_voltage'], 'V', 3)} of it go into dry friction",
+                    ],
+                    ["voltage noise of the encoder", quantity(noise["rms"], "V", 3), "rms in closed loop, in motion"],
+                    ["one step of the encoder", quantity(noise["one_step"], "V", 3), "jump of the voltage"],
+                ],
+                "Room below the voltage limit, and the price of the encoder's resolution.",
+            )
+        )
+    blocks.append(_mismatch_table(margins_under_mismatch(velocity, relative_mismatch(mismatch)), mismatch))
+    return Section("On the drive", *blocks)
+
+
+def _mismatch_table(study: dict[str, Any], mismatch: float) -> Table | Text:
+    percent = f"{100 * mismatch:g} %"
+    if not study["stable_share"]:
+        return Text(f"With mass, viscous friction and force gain off by ±{percent} every corner is unstable.")
+
+    def interval(key: str, shown: Any) -> list[str]:
+        low, high = study[key] or (None, None)
+        return [NOTHING if low is None else shown(low), NOTHING if high is None else shown(high)]
+
+    rows: list[list[Any]] = [
+        ["phase margin, plant input, sampled", *interval("phase_margin_deg", angle)],
+        ["crossover", *interval("crossover", frequency)],
+        ["delay margin", *interval("delay_margin", delay)],
+        ["gain margin", *interval("gain_margin", ratio)],
+        ["closed loop −3 dB", *interval("bandwidth", frequency)],
+    ]
+    if study["gains"]:
+        rows += [
+            [Html(symbol("k_v1") + " for the same request"), *(quantity(x, "V/(m/s)") for x in study["gains"]["k_v1"])],
+            [Html(symbol("t_v") + " for the same request"), *(quantity(x, "s") for x in study["gains"]["t_v"])],
+        ]
+    stable = "all" if study["stable_share"] == 1.0 else f"{100 * study['stable_share']:.3g} %"
+    return Table(
+        ["", "lowest", "highest"],
+        rows,
+        f"The same gains on {study['corners']} plants with mass, viscous friction and force gain off by "
+        f"±{percent}; {stable} of them stable.",
+    )
+
+
+def force_limit_figure(design: ForceLoopDesign) -> Figure:
+    """Draw the largest k_e1 over the stiffness of the wall, continuous and sampled, with the gain chosen.
+
+    Around the design's wall; without one, around the stiffness at which the mass swings at the crossover.
+    """
+    loop = design.velocity_loop
+    centre = design.environment or loop.axis.mechanics.mass * loop.crossover**2
+    stiffness = centre * WALLS
+    walls = [replace(design, environment=float(one)) for one in stiffness]
+    found = {
+        name: [getattr(wall, f"k_e1_max_{name}") for wall in walls] for name in ("continuous", "sampled")
+    }  # None: no limit, 0: always unstable
+    with look():
+        figure, axes = subplots(height=3.4)
+        for (name, limits), color, style in zip(found.items(), (BLUE, RED), ("-", "--"), strict=True):
+            shown = np.array([limit or np.nan for limit in limits], dtype=float)
+            axes.loglog(stiffness / 1e3, shown, color=color, linestyle=style, label=f"largest $k_{{e1}}$, {name}")
+        axes.autoscale_view()
+        bottom, top = axes.get_ylim() if np.any(np.isfinite(_drawn(axes))) else (design.k_e1, design.k_e1)
+        bottom, top = min(bottom, design.k_e1 / 2.0), max(top, design.k_e1 * 2.0)
+        edge = np.array([np.nan if limit is None else max(limit, bottom) for limit in found["sampled"]])
+        if np.any(np.isfinite(edge)):
+            axes.fill_between(stiffness / 1e3, edge, np.full(edge.size, top), color=RED, alpha=0.08, linewidth=0)
+        axes.set_ylim(bottom, top)
+        axes.axhline(design.k_e1, color=BLACK, linewidth=1.1, linestyle=":", label="$k_{e1}$ of this design")
+        if design.environment > 0:
+            axes.plot(
+                [design.environment / 1e3],
+                [design.k_e1],
+                "o" if design.stable else "X",
+                color=GREEN if design.stable else RED,
+                markersize=9,
+                zorder=5,
+                label="this design: " + ("stable" if design.stable else "unstable"),
+            )
+        axes.set(xlabel="stiffness of the wall $K_{env}$ [N/mm]", ylabel=r"$k_{e1}$ [(m/s)/N]")
+        axes.grid(which="both", linewidth=0.5)
+        axes.legend(loc="lower left")
+    return figure
+
+
+def _drawn(axes: Axes) -> np.ndarray:
+    return np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()])
+
+
+def force_loop_figure(design: ForceLoopDesign) -> Figure:
+    """Draw the Nyquist curve of the sampled force loop and its poles in the z plane."""
+    period = design.velocity_loop.axis.sampling.period
+    w = np.geomspace(0.5, np.pi / period * (1 - 1e-9), 500)
+    loop = design.response(w)
+    with look():
+        figure, (left, right) = subplots(1, 2, height=4.0)
+        left.plot(loop.real, loop.imag, color=RED)
+        nyquist_plane(left, (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
+        z_plane(right, np.asarray(design.poles), "closed-loop poles, z plane")
+    return figure
+
+
+def force_section(force: ForceLoopDesign) -> Section:
+    """Return the section on the force loop ``force``: stability first, then margins and limits."""
+    operator = []
+    if force.hand:
+        operator.append(f"a viscous hand of {quantity(force.hand, 'N/(m/s)')}")
+    if force.environment:
+        operator.append(f"a wall of {number(force.environment / 1e3)} N/mm")
+    margins, stable = force.margins, force.worst.margins.stable
+
+    def limit(value: float | None) -> str:
+        return "unbounded" if value is None else f"{number(value)} (m/s)/N"
+
+    def margin(shown: str) -> str:
+        return shown if force.stable else "unstable"
+
+    reading = str(force.paper_reading["text"])
+    warnings = [warning for warning in force.warnings if "unstable" not in warning]
+    rows = [
+        [Html(symbol("k_e1")), f"{number(force.k_e1)} (m/s)/N", "velocity per newton"],
+        [Html(symbol("k_c")), quantity(force.k_c, "N/(m/s)"), "what the hand feels at low frequency, 1/k_e1"],
+        ["apparent mass", quantity(force.apparent_mass, "kg"), "low-frequency match of k_e1 T_vc with 1/(M_a s + B)"],
+        ["largest gain, continuous", limit(force.k_e1_max_continuous), "closed form (Routh)"],
+        ["largest gain, sampled", limit(force.k_e1_max_sampled), "by the poles of the loop as implemented"],
+        [
+            "phase margin, sampled",
+            margin(angle(margins.phase_margin_deg) if margins.phase_margin_deg else "unbounded"),
+            "",
+        ],
+        ["gain margin, sampled", margin(ratio(margins.gain_margin)), ""],
+        ["delay margin, sampled", margin(delay(margins.delay_margin, margins.period)), ""],
+    ]
+    return Section(
+        "Force loop",
+        Text(
+            f"Operator: {' and '.join(operator) or 'none'}, tau_e = −(k_h q̇ + K_env q), positive towards +q. The force "
+            f"acts on the sensor{' and on the carriage' if force.on_carriage else ' only'}."
+        ),
+        Callout("good", "stable.") if stable else Callout("stop", f"the {force.worst.name} is unstable."),
+        Table(
+            ["quantity", "value", "meaning"], rows, "Force loop of Fig. 4, (10) and (11), with an explicit operator."
+        ),
+        Callout("note", "The paper's own reading of (10), (11)", f"{reading}."),
+        Picture(
+            force_limit_figure(force),
+            "Shaded, above the dashed line, the loop as implemented is unstable: the “too high gain” of the paper. "
+            "Where all is shaded no gain is stable, where nothing is any. The stiffer the wall, the smaller the gain.",
+            "How large the force gain may be",
+        ),
+        Picture(
+            force_loop_figure(force),
+            "Left: the loop must leave −1 on its left. Right: the closed-loop poles, velocity loop and operator "
+            "included.",
+            "Force loop in contact",
+        ),
+        Callout("warning", "To read with the numbers", items=tuple(warnings)) if warnings else None,
+    )
+
+
+def controller_section(loops: Sequence[NestedLoop], kept: Sequence[NestedLoop] = ()) -> Section:
+    """Return the section on the nested ``loops`` of a controller, the whole last: stability first, then margins.
+
+    ``kept`` are the loops with the velocity loop of the design in the place of its own.
+    """
+    whole = loops[-1].margins
+    verdict = Callout("good", "stable.") if whole.stable else Callout("stop", "the controller's loop is unstable.")
+    return Section(
+        "Controller of the axis",
+        Text(
+            "The loops as the axis file says them, not those designed above: the velocity loop with the position loop "
+            "open, the position loop with the velocity loop closed, and the whole where a delay or a current loop sits."
+        ),
+        verdict,
+        _table(loops, "Sampled, each at the rate at which it runs, with filters, delay and current loop."),
+        *([_table(kept, "The same with the velocity loop designed above in the place of its own.")] if kept else []),
+    )
+
+
+def _table(loops: Sequence[NestedLoop], caption: str) -> Table:
+    heads = ["loop", "broken at the", "stable", "crossover", "phase margin", "gain margin", "delay margin"]
+    return Table(heads, [_row(loop) for loop in loops], caption)
+
+
+def _row(loop: NestedLoop) -> list[str]:
+    margins = loop.margins
+    if not margins.stable:
+        return [loop.name, loop.broken, "unstable", "", "", "", ""]
+    late = delay(margins.delay_margin, margins.period)
+    shown = (frequency(margins.crossover), angle(margins.phase_margin_deg), ratio(margins.gain_margin), late)
+    return [loop.name, loop.broken, "stable", *shown]

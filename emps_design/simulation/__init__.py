@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from emps_design.simulation.ensembles import Ensemble as Ensemble, simulate_ensemble as simulate_ensemble
     from emps_design.simulation.environment import Hand as Hand, Wall as Wall
     from emps_design.simulation.plant import Plant as Plant
-    from emps_design.simulation.plants import (
+    from emps_design.simulation.ensembles import (
         Plants as Plants,
         corners as corners,
         monte_carlo as monte_carlo,

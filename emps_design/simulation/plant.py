@@ -1,25 +1,38 @@
-"""The plant: an axis with its effects, resolved once, simulated as often as wanted."""
+"""The plant: an axis with its effects, resolved once, simulated as often as wanted.
+
+What the general stepper takes of an effect: the compiled kernels of its hooks, and what they let the steps be.
+
+What a plant hands to the general stepper: checked signals, and the numbers of a run.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import dis
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import Axis, Drive
 from emps_design.effects import Effect
+from emps_design.effects.effect import Kernel
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
-from emps_design.simulation.effect_hooks import hooks_of, how_solved, sees_command, summed_of, touches_motion
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels import hold_loop as stepper
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address
-from emps_design.simulation.prepared import Prepared, intention_columns, motor_rows, positive, signal
 from emps_design.simulation.run import Run
+
+# In the order of the rows of the table of hooks.
+HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
+# What the stepper takes as one number, where it is the same throughout a run, and where that number stands.
+SUMMED = {"dry": motion.LEVEL, "inertia": motion.MASS}
+_MOTION, _STATE, _COMMAND = range(5), (0, 1, 3, 4), range(3, 4)  # of a kernel's arguments q, v, t, tau, x, p, b
 
 # Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
@@ -27,6 +40,153 @@ METHODS = ("general", "linear", "plain", "folded")  # of stepping; what is exact
 _ASUNDER = 1e-7  # least relative difference of two lags
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
+
+
+def summed_of(effect: Effect, touching: bool) -> Iterator[tuple[int, Kernel]]:
+    """Yield the place in the settings, and the kernel, of what of ``effect`` is the same throughout a run.
+
+    Those kernels read parameters and baseline alone; the parameters of what is ``touching`` the carriage may change.
+    """
+    for hook, place in SUMMED.items():
+        kernel = getattr(effect, hook)
+        if kernel is not None and not touching and not _reads(kernel, _MOTION):
+            yield place, kernel
+
+
+def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, int]]:
+    """Yield the row of the table, and the address, of every kernel of ``effect`` that is called step by step.
+
+    ``touching``: it is something at the carriage, whose force a sensor there feels; ``held``: that force is the
+    sample's for the whole period.
+    """
+    if held and effect.force is not None:
+        yield motion.HELD, address(effect.force)
+        return
+    summed = [kernel for _, kernel in summed_of(effect, touching)]
+    for row, hook in enumerate(HOOKS):
+        kernel = getattr(effect, hook)
+        if kernel is not None and kernel not in summed:
+            yield row, address(kernel, hook if hook in ("actuator", "rate") else "kernel")
+    if effect.force is not None and not touching:
+        yield motion.SOLVED if effect.affine or effect.slopes else motion.UNSOLVED, address(effect.force)
+    if effect.by_travel and effect.force is not None:
+        yield motion.MEMORY, address(effect.force)
+    if touching:
+        for row, kernel in ((motion.TOUCH, effect.force), (motion.TOUCH_MASS, effect.inertia)):
+            if kernel is not None:
+                yield row, address(kernel)
+
+
+def touches_motion(effect: Effect) -> bool:
+    """Whether ``effect`` acts between motor force and motion, not only on the signals around them."""
+    return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.guard, effect.jump_time))
+
+
+def sees_command(effect: Effect) -> bool:
+    """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
+    return effect.inertia is not None or reads_command(effect)
+
+
+def reads_command(effect: Effect) -> bool:
+    """Whether a force of ``effect`` reads the motor force."""
+    return any(_reads(kernel, _COMMAND) for kernel in (effect.force, effect.dry) if kernel is not None)
+
+
+def is_smooth(effect: Effect) -> bool:
+    """Whether ``effect`` is a force without a kink between two jumps in time, and a mass that is the same there."""
+    weighs = effect.inertia is not None and _reads(effect.inertia, _STATE)
+    return not (effect.states or effect.guard or weighs)
+
+
+def how_solved(stepped: Sequence[Effect], lags: int) -> int:
+    """How hold periods of an axis with the effects ``stepped`` are solved, behind so many ``lags`` of the motor force.
+
+    0: not at all; 1: all effects are in the solution; 2: smooth ones beside it; 3: of these some that see the command.
+    Of effects that are affine in pieces there may be one.
+    """
+    solved, others = [one for one in stepped if one.affine], [one for one in stepped if not one.affine]
+    pieces = sum(1 for effect in solved if effect.guard)
+    rubs = any(effect.takes_dry for effect in stepped)
+    if not solved or pieces > 1 or lags > 1 or rubs or not all(map(is_smooth, others)):
+        return 0
+    if any(map(reads_command, others)):
+        return 3 if lags == 0 else 0  # behind a lag what they see is no parabola of time
+    return 2 if others else 1
+
+
+@cache
+def _reads(kernel: Kernel, which: Sequence[int]) -> bool:
+    """Whether ``kernel`` uses one of its arguments ``which``, whatever it calls them."""
+    names = [kernel.__code__.co_varnames[i] for i in which]
+    read = [step.argval for step in dis.get_instructions(kernel)]
+    return any(name in (one if isinstance(one, tuple) else (one,)) for one in read for name in names)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the general stepper is given besides the law, the signals and room for the answer.
+
+    ``baseline`` (4,), ``parameters``, ``settings``, ``y`` the state at first, the table of hooks with its ``starts``,
+    ``columns`` that are written to ``slots`` of the parameters at every sample, ``floors`` and ``scratch``.
+    """
+
+    baseline: np.ndarray
+    parameters: np.ndarray
+    settings: np.ndarray
+    y: np.ndarray
+    hooks: np.ndarray
+    starts: np.ndarray
+    columns: np.ndarray
+    slots: np.ndarray
+    floors: np.ndarray
+    scratch: np.ndarray
+
+
+def intention_columns(wanted: np.ndarray, hand: np.ndarray, held: bool, n: int, period: float) -> np.ndarray:
+    """Return the parameters (n, 6) of a ``hand`` that means to be at ``wanted`` (n,) [m], nan where it has let go.
+
+    Between samples the intention moves evenly; the force of a ``held`` hand is that of the sample itself.
+    """
+    grips, speed = ~np.isnan(wanted), np.zeros(wanted.size)
+    if wanted.size > 1:
+        step = np.diff(wanted) / period
+        speed = np.gradient(wanted, period) if held else np.append(step, 0.0)
+        speed[1:] = np.where(np.isnan(speed[1:]), step, speed[1:])
+    place = signal(np.where(grips, wanted, 0.0), "intention", "m", n)
+    return np.column_stack([grips[:, None] * hand[:3], place, np.nan_to_num(speed), np.arange(n) * period])
+
+
+def motor_rows(drive: Drive, supply: Any, enable: Any, n: int) -> np.ndarray:
+    """Gain [N/V] and braking [N/(m/s)] of a motor at each sample, (n, 2), or (0, 2) where they never change.
+
+    ``supply`` (n,) [V] of a duty, None: that of the ``drive``; ``enable`` (n,) 0 where it is off, None: nowhere.
+    """
+    supply = None if drive.command != "duty" or supply is None else signal(supply, "supply", "V", n)
+    if supply is None and enable is None:
+        return np.zeros((0, 2))
+    on = np.ones(n) if enable is None else (signal(enable, "enable", "", n) != 0.0).astype(float)
+    gain = drive.gain if supply is None else drive.force_gain * supply
+    return np.column_stack([on * gain, on * drive.braking])
+
+
+def positive(period: Any) -> float:
+    """Return ``period`` [s]; raises :class:`InputError` where it is not positive."""
+    if not (np.isfinite(period) and period > 0):
+        raise InputError(f"period: found {period:g} s, expected a positive number")
+    return float(period)
+
+
+def signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:
+    """Return ``values`` as a row of floats; raises :class:`InputError` where they are not ``n`` finite numbers."""
+    found = np.ascontiguousarray(values, dtype=float)
+    if found.ndim != 1 or found.size == 0 or (n is not None and found.size != n):
+        wanted = f"{n} numbers" if n else "a row of numbers"
+        raise InputError(f"{name}: found shape {found.shape}, expected {wanted} [{unit}]")
+    # A finite sum proves all finite, in one pass; otherwise look for the culprit (there is none if the sum overflowed).
+    if not np.isfinite(found.sum()) and not np.isfinite(found).all():
+        first = int(np.argmin(np.isfinite(found)))
+        raise InputError(f"{name}: sample {first} is {found[first]}, expected finite numbers [{unit}]")
+    return found
 
 
 class Plant:

@@ -1,31 +1,239 @@
-"""Scenarios of the command ``simulate``: replay a record, follow a reference, raise a force until the axis moves."""
+"""Scenarios of the command ``simulate``: replay a record, follow a reference, raise a force until the axis moves.
+
+Reference programs for the axis and the ramp of force that starts it, sampled at the drive's period.
+
+Every function returns an array (n,), SI, and refuses numbers that cannot be meant with :class:`InputError`.
+
+What to change in a controller whose loop diverges: the one number nearest to what it has with which it runs.
+
+Read a reference of one's own, .csv or .npz: ``t`` [s], ``q_ref`` [m], optional ``f_ext`` [N], ``excitation`` [V].
+"""
 
 from __future__ import annotations
 
+import io
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.nested import nested_loops
-from emps_design.control.loop.worst import loop_in_words, worst_loop
-from emps_design.errors import InputError, SimulationError
+from emps_design.control.nested_loops import loop_in_words, nested_loops, worst_loop
+from emps_design.errors import AxisError, InputError, RecordError, SimulationError, UnstableError
+from emps_design.files import read_bytes
+from emps_design.laws import leaves
 from emps_design.notebook import table
 from emps_design.observer import motor_force
 from emps_design.records import Record
-from emps_design.simulation.driven import driven_by
-from emps_design.simulation.nearest_controller import unstable
+from emps_design.records.archives import read_archive
+from emps_design.records.check import LONGEST
+from emps_design.records.columns import PLAIN, read_title
+from emps_design.records.tables import read_plain_table
 from emps_design.simulation.plant import Plant
-from emps_design.simulation.run import EVENTS, Run
-from emps_design.simulation.trajectories import force_ramp
+from emps_design.simulation.run import EVENTS, Run, driven_by
+from emps_design.simulation.synthetic import trapezoid_laps
+from emps_design.units import Units
+
+STEP = math.sqrt(2.0)  # between the numbers that are tried
+STEPS = 12  # down and up, as many: further away a loop runs because it hardly moves
+
+MAX_BYTES = 100_000_000
+MAX_SAMPLES = LONGEST
 
 ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
 DROPPED = 50  # samples left out of the relative errors, as in the report of the data set, and behind each gap
 SPAN = 8  # samples over which the velocity behind a gap is taken
 NEIGHBOURS = 2  # samples to either side that an acceleration is of
+
+
+def half_ramp_program(
+    period: float, speeds: tuple[float, ...] = (0.2, 0.1, 0.05), segment: float = 0.5, laps: int = 1
+) -> np.ndarray:
+    """Position [m] whose velocity varies linearly half the time and is constant the other half, section III-A.
+
+    For each of ``speeds`` [m/s]: ramp, constant, ramp, forth and back, each ``segment`` seconds of constant velocity
+    between two ramps of half that; it ends where it began.
+
+    >>> q = half_ramp_program(1e-3)
+    >>> v = np.diff(q) / 1e-3
+    >>> constant = np.abs(np.diff(v)) < 1e-9
+    >>> round(float(constant.mean()), 2), abs(float(q[-1])) < 1e-9
+    (0.5, True)
+    """
+    _positive(period=period, segment=segment, laps=laps, **{f"speeds[{i}]": v for i, v in enumerate(speeds)})
+    ramp, flat = max(1, round(0.5 * segment / period)), max(1, round(segment / period))
+    up = (np.arange(ramp) + 0.5) / ramp
+    shape = np.concatenate([up, np.ones(flat), up[::-1]])
+    velocity = np.concatenate([sign * speed * shape for speed in speeds for sign in (1.0, -1.0)])
+    return np.concatenate([[0.0], np.cumsum(np.tile(velocity, int(laps))) * period])
+
+
+def multi_sine(
+    period: float,
+    duration: float = 10.0,
+    frequencies: tuple[float, ...] = (0.3, 0.7, 1.1, 2.3, 4.1),
+    amplitude: float = 0.02,
+    seed: int = 0,
+) -> np.ndarray:
+    """Position [m]: sines of equal velocity at ``frequencies`` [Hz], phases from ``seed``, peak ``amplitude`` [m].
+
+    It fades in over the first half second, so that it starts at rest at 0.
+
+    >>> q = multi_sine(1e-3, duration=4.0)
+    >>> abs(float(q[0])), round(float(np.abs(q).max()), 6)
+    (0.0, 0.02)
+    """
+    _positive(period=period, duration=duration, amplitude=amplitude, **{f"f{i}": f for i, f in enumerate(frequencies)})
+    t = np.arange(round(duration / period)) * period
+    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(frequencies))
+    q = sum(np.sin(2.0 * np.pi * f * t + phase) / f for f, phase in zip(frequencies, phases, strict=True))
+    q *= 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / 0.5, 1.0))
+    return amplitude * q / np.abs(q).max()
+
+
+def force_ramp(period: float, rate: float, peak: float) -> np.ndarray:
+    """Force [N] that rises at ``rate`` [N/s] from 0 to ``peak`` [N] (a negative peak falls).
+
+    >>> force_ramp(0.1, 10.0, 2.0)
+    array([0., 1., 2.])
+    """
+    _positive(period=period, rate=rate, peak=abs(peak))
+    n = round(abs(peak) / (rate * period)) + 1
+    if n > LONGEST:
+        raise InputError(
+            f"rate: found {rate:g} N/s, so that a rise to {abs(peak):g} N takes {n * period:.4g} s; expected at most "
+            f"{LONGEST * period:.4g} s ({LONGEST} samples): raise it faster, or not as far"
+        )
+    return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
+
+
+def _positive(**numbers: float) -> None:
+    for name, value in numbers.items():
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name}: found {value:g}, expected a positive number")
+
+
+__all__ = ["force_ramp", "half_ramp_program", "multi_sine", "trapezoid_laps"]
+
+
+def unstable(axis: Axis, error: SimulationError, simulate: Callable[[Axis], Any]) -> UnstableError:
+    """Return the error for a closed loop of ``axis`` that did not run, with the reason and the nearest that does.
+
+    ``simulate(axis)`` runs the same loop on another axis and raises :class:`SimulationError` where it diverges.
+    """
+    nearest = nearest_controller(axis, simulate)
+    if not nearest:
+        return UnstableError(f"{error}; no other number of the controller alone makes it run")
+    name, value = next(iter(nearest.items()))
+    own = dict(_numbers(axis))[name]
+    return UnstableError(f"{error}; nearest that works: {name} = {value:g} instead of {own:g}", nearest)
+
+
+def nearest_controller(axis: Axis, simulate: Callable[[Axis], Any]) -> dict[str, float]:
+    """Return the number of the controller of ``axis``, as {name: value}, with which ``simulate(axis)`` runs; or {}.
+
+    Each number is tried alone, in steps of a factor sqrt(2) either way; the one proposed has another such step to
+    spare, and is the one whose factor is nearest to 1.
+    """
+    found: list[tuple[int, str, float]] = []
+    for name, own in _numbers(axis):
+        for side in (-1, 1):
+            before = False
+            for count in range(1, STEPS + 1):
+                if found and count >= min(found)[0]:
+                    break
+                value = float(f"{own * STEP ** (side * count):.3g}")
+                runs = _runs(axis, name, value, simulate)
+                if runs and before:
+                    found.append((count, name, value))
+                    break
+                before = runs
+    if not found:
+        return {}
+    _, name, value = min(found)
+    return {name: value}
+
+
+def _numbers(axis: Axis) -> list[tuple[str, float]]:
+    """The numbers of the controller of ``axis`` by name, ``velocity.kp`` of an inner table; zeros and counts aside."""
+    values = leaves(axis.to_dict()["controller"])
+    return [(".".join(path), value) for path, value in values if isinstance(value, float) and value != 0.0]
+
+
+def _runs(axis: Axis, name: str, value: float, simulate: Callable[[Axis], Any]) -> bool:
+    controller = axis.to_dict()["controller"]
+    *tables, key = name.split(".")
+    inner = controller
+    for inside in tables:
+        inner = inner[int(inside) if isinstance(inner, list | tuple) else inside]
+    inner[key] = value
+    try:
+        simulate(axis.replace(controller=controller))
+    except (SimulationError, AxisError):
+        return False
+    return True
+
+
+def read_reference(
+    path: str | Path, period: float, units: Units = PLAIN
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Return ``q_ref`` (n,) [m], ``f_ext`` (n,) [N] or None and ``excitation`` (n,) [V] or None.
+
+    They are interpolated at multiples of ``period`` [s]; an excitation is held from one row to the next.
+    ``units`` are those of the axis.
+    Raises :class:`RecordError` in one line for a file that has no such columns, is not finite, or runs back in time.
+    """
+    try:
+        content = read_bytes(Path(path), MAX_BYTES, "expected a .csv or .npz reference")
+    except InputError as error:
+        raise RecordError(str(error)) from error
+    return reference_from_bytes(content, str(path), period, units)
+
+
+def reference_from_bytes(
+    content: bytes, name: str, period: float, units: Units = PLAIN
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    r"""Return what :func:`read_reference` does, from the ``content`` of a file called ``name``.
+
+    >>> reference_from_bytes(b"t,q_ref [mm]\n0,0\n0.2,4\n", "way.csv", 0.1)[0].tolist()
+    [0.0, 0.002, 0.004]
+    """
+    if content[:2] == b"PK":
+        columns = read_archive(io.BytesIO(content), name, MAX_BYTES)
+    else:
+        columns = read_plain_table(content, name, "expected columns t, q_ref (.csv or .npz)")
+    named = {}
+    for text, values in columns.items():
+        title = read_title(text, name, units)
+        if title.name in ("t", "q_ref", "f_ext", "excitation"):
+            named[title.name] = np.ravel(np.asarray(values)).astype(float) * title.factor
+    missing = [column for column in ("t", "q_ref") if column not in named]
+    if missing:
+        raise RecordError(f"{name}: missing column {', '.join(missing)}; found {', '.join(columns)}; expected t, q_ref")
+    t = named["t"]
+    for column, values in named.items():
+        if values.size != t.size or t.size < 2:
+            raise RecordError(
+                f"{name}: column {column}: found {values.size} samples, expected {max(2, t.size)} as in t"
+            )
+        if not np.isfinite(values).all():
+            raise RecordError(f"{name}: column {column}: sample {int(np.argmin(np.isfinite(values)))} is not finite")
+    if not (np.diff(t) > 0).all():
+        raise RecordError(
+            f"{name}: column t: sample {int(np.argmin(np.diff(t) > 0)) + 1} is not later than the one before"
+        )
+    n = int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1
+    if not 2 <= n <= MAX_SAMPLES:
+        raise RecordError(f"{name}: {t[-1] - t[0]:g} s at {period:g} s are {n} samples, expected 2 to {MAX_SAMPLES}")
+    grid = t[0] + np.arange(n) * period
+    force = np.interp(grid, t, named["f_ext"]) if "f_ext" in named else None
+    held = np.searchsorted(t, grid + 1e-6 * period, side="right") - 1
+    excitation = named["excitation"][held] if "excitation" in named else None
+    return np.interp(grid, t, named["q_ref"]), force, excitation
 
 
 def relative_error_percent(

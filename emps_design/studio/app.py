@@ -1,26 +1,173 @@
-"""One session of the studio: the tabs, and what passes between them."""
+"""One session of the studio: the tabs, and what passes between them.
+
+Who may talk to the studio: a browser of this machine, by a name of this machine, with the token of its address.
+
+A page of any other site can make a browser ask 127.0.0.1, by a name that leads there; it cannot know the token.
+
+The studio's page: its frame and its style, around the tabs.
+"""
 
 from __future__ import annotations
 
+import hmac
+import secrets
 import socket
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import panel as pn
+from tornado.web import RequestHandler
 
 from emps_design.axis import Axis
 from emps_design.machines import machine, machine_names
 from emps_design.records import Record
-from emps_design.studio.access import guard
 from emps_design.studio.design_view import DesignView
-from emps_design.studio.exports import velocity_design
-from emps_design.studio.page import page
+from emps_design.studio.files_view import velocity_design
 from emps_design.studio.state import State
+
+if TYPE_CHECKING:
+    from bokeh.server.server import Server
+    from tornado.httputil import HTTPServerRequest
+
+NAMES = ("127.0.0.1", "localhost", "[::1]")
+
+TITLE = "emps-design studio"
+
+STYLE = """
+body { margin: 0; background: #f5f7fa; color: #1a1a1a;
+  font-family: "Segoe UI", "Noto Sans", "Liberation Sans", "DejaVu Sans", Arial, sans-serif; }
+header.studio { background: #003a5d; color: #fff; padding: 7px 16px; font-size: 17px; font-weight: 600; }
+header.studio small { font-weight: 400; margin-left: 12px; opacity: .9; }
+main.studio { padding: 6px 10px 16px; }
+"""
+
+# What Bokeh leaves without a name or out of a key's reach: handles of sliders, figures, downloads.
+SCRIPT = """
+function nameAndReach(root) {
+  for (const element of root.querySelectorAll('*')) {
+    if (element.shadowRoot) nameAndReach(element.shadowRoot);
+  }
+  const title = root.querySelector('.bk-slider-title');
+  if (title) for (const handle of root.querySelectorAll('.noUi-handle')) {
+    const name = title.textContent.trim().replace(/:$/, '');
+    if (handle.getAttribute('aria-label') !== name) handle.setAttribute('aria-label', name);
+  }
+  for (const button of root.querySelectorAll('.bk-spin-btn:not([aria-label])')) {
+    button.setAttribute('aria-label', button.classList.contains('bk-spin-btn-up') ? 'more' : 'less');
+    button.tabIndex = -1;  // the arrow keys in the field do the same
+  }
+  for (const layer of root.querySelectorAll('.bk-events[tabindex]:not([aria-label])')) {
+    const figure = root.host.getRootNode().host;
+    layer.setAttribute('role', 'img');
+    layer.setAttribute('aria-label', figure.getAttribute('aria-label') || 'Figure');
+  }
+  for (const link of root.querySelectorAll('button > a:not([data-reached])')) {
+    link.dataset.reached = true;  // a download listens on the words of its button only, which no key reaches
+    link.parentElement.addEventListener('click', event => { if (event.target !== link) link.click(); });
+  }
+  for (const input of root.querySelectorAll('input[type=file]')) {
+    if (!input.getAttribute('aria-label') && !input.id) input.setAttribute('aria-label', 'File');
+  }
+}
+setInterval(() => nameAndReach(document), 700);
+"""
+
+TEMPLATE = (
+    """
+{% extends base %}
+{% block title %}emps-design studio{% endblock %}
+{% block postamble %}<style>"""
+    + STYLE
+    + """</style><script>"""
+    + SCRIPT
+    + """</script>{% endblock %}
+{% block contents %}
+<header class="studio">emps-design studio
+<small>design, simulate, compare with the record; everything stays on this machine</small></header>
+<main class="studio">{{ embed(roots.studio) }}</main>
+{% endblock %}
+"""
+)
 
 RECORD_AXIS = "emps2019"  # the machine that records are taken for where no axis of their own is named
 HOST = "127.0.0.1"
 TABS = ("Design", "Motion", "Simulation", "Data", "Compensation", "Files")
+
+
+def guard(server: Server) -> str:
+    """Let ``server`` answer only where host, origin and token are right; return what its address ends in."""
+    application, token, cookie = server._tornado, secrets.token_urlsafe(24), f"emps-design-{server.port}"
+    find = application.find_handler
+
+    def find_handler(request: HTTPServerRequest, **options: Any) -> Any:
+        if not local(request.headers, server.port):
+            return application.get_handler_delegate(request, Refused, {"why": "by this name the studio is not there"})
+        given = request.query_arguments.get("token", [b""])[-1]
+        kept = request.cookies[cookie].value.encode() if cookie in request.cookies else b""
+        if not any(hmac.compare_digest(one, token.encode()) for one in (given, kept)):
+            why = "open the whole address that the studio printed, with its token"
+            return application.get_handler_delegate(request, Refused, {"why": why})
+        found = find(request, **options)
+        if given and hasattr(found, "handler_class"):
+            found.handler_class = _leaving(found.handler_class, cookie, token)
+        return found
+
+    application.find_handler = find_handler  # type: ignore[method-assign]
+    return f"/?token={token}"
+
+
+def local(headers: Any, port: int | None) -> bool:
+    """Whether ``Host``, and ``Origin`` where there is one, are names of this machine at ``port``.
+
+    >>> local({"Host": "localhost:80"}, 80), local({"Host": "rebound.example:80"}, 80)
+    (True, False)
+    >>> local({"Host": "127.0.0.1:80", "Origin": "http://elsewhere.example"}, 80)
+    False
+    """
+    places = {f"{name}:{port}" for name in NAMES} | ({*NAMES} if port == 80 else set())
+    return headers.get("Host") in places and headers.get("Origin", "").removeprefix("http://") in places | {""}
+
+
+class Refused(RequestHandler):
+    """Any request that is not let in: 403 and one sentence."""
+
+    def initialize(self, why: str) -> None:
+        """Keep ``why``, the sentence."""
+        self.why = why
+
+    def prepare(self) -> None:
+        """Answer before any method of the request is looked at."""
+        self.set_status(403)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"emps-design studio: {self.why}\n")
+
+    def check_xsrf_cookie(self) -> None:
+        """There is nothing to protect."""
+
+
+def _leaving(handler: type[RequestHandler], cookie: str, token: str) -> type[RequestHandler]:
+    """``handler`` that leaves the token with the browser, for what the page asks for next."""
+
+    class Leaving(handler):  # type: ignore[misc,valid-type]
+        def set_default_headers(self) -> None:
+            """Set the cookie beside the handler's own headers."""
+            super().set_default_headers()
+            self.set_cookie(cookie, token, httponly=True, samesite="Lax", path="/")
+
+    return Leaving
+
+
+def prepare() -> None:
+    """Tell Panel what the page needs; everything is served from this machine."""
+    pn.extension("filedropper", inline=False, notifications=False)
+
+
+def page(root: pn.viewable.Viewable) -> pn.Template:
+    """Put ``root`` into the frame."""
+    template = pn.Template(TEMPLATE)
+    template.add_panel("studio", root)
+    return template
 
 
 class Session:
@@ -98,7 +245,6 @@ def serve(
     """
     from emps_design.importing import import_record
     from emps_design.studio.data_view import LIMIT_MB
-    from emps_design.studio.page import TITLE, prepare
 
     read = None if record is None else import_record(record, axis)
     with socket.socket() as probe:

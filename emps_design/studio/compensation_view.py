@@ -14,15 +14,12 @@ from emps_design.compensation.feedforward import terms_of
 from emps_design.compensation.study import ON_ERROR
 from emps_design.errors import EmpsError
 from emps_design.progress import Progress
-from emps_design.report.advice import LEVELS
-from emps_design.report.compensation import tracking_figure
 from emps_design.report.display import sentence_of
-from emps_design.report.page import inline
+from emps_design.report.motion import tracking_figure
+from emps_design.report.page import LEVELS, inline
 from emps_design.report.style import labelled, svg
-from emps_design.studio.exports import designed, drive_zip, follows
-from emps_design.studio.files_view import BUTTON
-from emps_design.studio.jobs import Job
-from emps_design.studio.panes import html, judgement, message, numbers
+from emps_design.studio.files_view import BUTTON, designed, drive_zip, follows
+from emps_design.studio.panes import Job, html, judgement, message, numbers
 from emps_design.studio.state import State
 
 FOLDER = "emps-design-drive.zip"

@@ -1,16 +1,29 @@
-"""A pane of words and tables in the studio's style, which its shadow root would keep out otherwise."""
+"""Parts of the studio's page: panes of words and tables, fields that open a file, long work beside the page.
+
+A pane of words and tables in the studio's style, which its shadow root would keep out otherwise.
+
+A field that opens an axis file of one's own, in whichever tab it stands.
+
+Long work beside the page: one thread, its progress shown, and a cancel that the work hears at its next step.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import asyncio
+import ctypes
+import threading
+from collections.abc import Callable, Iterable
 from functools import cache
 from importlib.resources import files
+from pathlib import PurePath
 from typing import Any
 
 import panel as pn
 
-from emps_design.report.advice import LEVELS
-from emps_design.report.page import inline
+from emps_design.axis import Axis
+from emps_design.errors import EmpsError
+from emps_design.machines import machine_names
+from emps_design.report.page import LEVELS, inline
 
 STYLE = """
 .message { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
@@ -33,6 +46,9 @@ div.record { max-width: 880px; }
 svg { width: 100%; height: auto; max-width: 980px; }
 h3 { margin: 6px 0; font-size: 15px; }
 """
+
+POLL = 150  # ms
+CANCELLED = "Cancelled; nothing was changed."
 
 
 def html(text: str = "", **options: Any) -> pn.pane.HTML:
@@ -77,3 +93,147 @@ def _page_style() -> str:
 def blocks() -> pn.pane.HTML:
     """Return a pane for blocks of a report's page, in the look of the reports."""
     return pn.pane.HTML("", stylesheets=[_page_style()], sizing_mode="stretch_width", margin=(0, 5))
+
+
+class AxisFile:
+    """A field for an axis file; ``take(axis)`` has the axis, ``refuse(text)`` says why there is none.
+
+    One that has the name of an embedded machine has that of its file as well, and is another beside it.
+    """
+
+    def __init__(self, take: Callable[[Axis], None], refuse: Callable[[str], None], width: int = 230):
+        self._take, self._refuse = take, refuse
+        self.field = pn.widgets.FileInput(
+            label="Axis file of your own (.toml)", accept=".toml", multiple=False, width=width, margin=(2, 6)
+        )
+        self.field.param.watch(self._opened, "value")
+
+    def _opened(self, event: Any) -> None:
+        if not event.new:
+            return
+        name, content = PurePath((self.field.filename or "axis.toml").replace("\\", "/")).name, bytes(event.new)
+        self.field.value = None  # here and in the browser, so that the same file is opened again once it was edited
+        self.field.clear()
+        try:
+            axis = Axis.from_toml(content.decode("utf-8"), name)
+        except UnicodeDecodeError:
+            self._refuse(f"{name}: not UTF-8 text, expected an axis file")
+        except EmpsError as error:
+            self._refuse(str(error))
+        else:
+            self._take(axis.replace(name=f"{axis.name} of {name}") if axis.name in machine_names() else axis)
+
+
+class Cancelled(BaseException):
+    """The person at the page asked to stop; no step of the work may take it for a failure of its own."""
+
+
+class Job:
+    """Runs ``work(progress)`` in a thread; ``view`` has the bar and the cancel button; one job at a time.
+
+    ``progress(stage, fraction)`` shows where the work is. Once cancel was pressed :class:`Cancelled` is raised in the
+    thread, wherever the work is, at the next instruction of Python's: compiled steps between them take moments.
+    """
+
+    def __init__(self) -> None:
+        self.bar = pn.indicators.Progress(label="Progress", value=0, max=100, width=300, margin=(14, 8))
+        self.stage = pn.pane.HTML("", margin=(8, 4))
+        self.cancel = pn.widgets.Button(label="Cancel work", width=110, margin=(4, 6))
+        self.cancel.on_click(lambda event: self.stop())
+        self.view = pn.Row(self.cancel, self.bar, self.stage, margin=0, visible=False)
+        self._stop = threading.Event()
+        self._now: tuple[str, float] = ("", 0.0)
+        self._outcome: tuple[str, Any] | None = None
+        self._poll: Any = None
+        self._next: tuple[Any, ...] | None = None  # what was started while work was stopping
+
+    @property
+    def running(self) -> bool:
+        """Whether work is going on."""
+        return self._poll is not None
+
+    @property
+    def occupied(self) -> bool:
+        """Whether work is going on that nobody asked to stop: no other can be started."""
+        return self.running and not self._stop.is_set()
+
+    def stop(self) -> None:
+        """Ask the work that is going on, if any, to stop; nothing waits for its end any more."""
+        self._next = None
+        self._stop.set()
+
+    def awaited(self, work: Callable[[Callable], Any], failed: Callable[[str], None]) -> asyncio.Future[Any]:
+        """Start ``work`` from a coroutine; what it makes, once it is done.
+
+        Cancelled, after ``failed(message)``, where the work fails, or a job runs already.
+        """
+        made: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+        def give_up(text: str) -> None:
+            failed(text)
+            made.cancel()
+
+        if self.running or not self.start(work, made.set_result, give_up):
+            give_up("Other work is going on: cancel it, or wait for its end.")
+        return made
+
+    def start(
+        self, work: Callable[[Callable], Any], done: Callable[[Any], None], failed: Callable[[str], None]
+    ) -> bool:
+        """Start ``work``; later call ``done(result)`` or ``failed(message)``. False where a job runs already.
+
+        One that was asked to stop ends first, with no word of it.
+        """
+        if self.occupied:
+            return False
+        if self.running:
+            self._next = (work, done, failed)
+            return True
+        self._stop.clear()
+        self._outcome, self._now = None, ("starting", 0.0)
+        self.bar.value, self.view.visible = 0, True
+
+        def progress(stage: str, fraction: float) -> None:
+            if self._stop.is_set():
+                raise Cancelled
+            self._now = (stage, fraction)
+
+        def run() -> None:
+            try:
+                self._outcome = ("done", work(progress))
+            except Cancelled:
+                self._outcome = ("failed", CANCELLED)
+            except EmpsError as error:
+                self._outcome = ("failed", str(error))
+            except Exception as error:  # a defect: say so on the page, the session goes on
+                self._outcome = ("failed", f"{type(error).__name__}: {error}")
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+
+        def poll() -> None:
+            stage, fraction = self._now
+            self.bar.value = int(100 * min(max(fraction, 0.0), 1.0))
+            self.stage.object = inline("stopping" if self._stop.is_set() else stage.replace("_", " "))
+            if self._outcome is None and thread.is_alive():
+                if self._stop.is_set():
+                    _raise_in(thread, Cancelled)
+                return
+            self._poll.stop()
+            self._poll = None
+            self.view.visible, self.stage.object = False, ""
+            if self._next is not None:
+                begin, self._next = self._next, None
+                self.start(*begin)
+                return
+            kind, value = self._outcome or ("failed", CANCELLED)
+            (done if kind == "done" else failed)(value)
+
+        self._poll = pn.state.add_periodic_callback(poll, period=POLL)
+        return True
+
+
+def _raise_in(thread: threading.Thread, exception: type[BaseException]) -> None:
+    """Raise ``exception`` in ``thread``: https://docs.python.org/3/c-api/init.html, PyThreadState_SetAsyncExc."""
+    if thread.ident is not None and thread.is_alive():
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), ctypes.py_object(exception))

@@ -1,19 +1,34 @@
-"""The simulation tab: an operator guides the carriage under the impedance law, with the estimates a little wrong."""
+"""The simulation tab: an operator guides the carriage under the impedance law, with the estimates a little wrong.
+
+What the simulation tab runs: the task with exact and with the worst estimates, all plants, a push into the wall.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import panel as pn
 
+from emps_design.laws.friction_model import left_out
+from emps_design.progress import Progress, of_part, untold
+from emps_design.report.display import quantity
 from emps_design.report.page import inline
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
-from emps_design.studio.jobs import Job
-from emps_design.studio.panes import html, judgement, message
-from emps_design.studio.simulated import Simulated, simulate
+from emps_design.studio.panes import Job, html, judgement, message
 from emps_design.studio.state import State
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from emps_design.comanipulation.run import TaskRun
+    from emps_design.comanipulation.study import MismatchStudy
+    from emps_design.comanipulation.wall import WallContact
+
+EXACT, WORST = "exact estimates", "worst estimates"
 
 TASKS = {"Hand guides the axis": "guided", "Pushes to and fro (Fig. 12)": "pushed"}
 WIDTHS = {
@@ -33,6 +48,133 @@ once with exact estimates, once with the worst estimates within the mismatch; th
 many random plants as asked for; then a push into the wall.</p>
 <p>Fig. 12 of the paper is the task <i>Pushes to and fro</i>.</p>
 """
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """The runs by name, the study over the mismatch, and the push into the wall."""
+
+    state: State
+    runs: dict[str, TaskRun]
+    study: MismatchStudy
+    worst: dict[str, Any]
+    wall: WallContact
+    wall_poles_stable: bool
+
+    def verdict(self) -> tuple[str, str]:
+        """How good it is, and the sentence that says it."""
+        state, worst = self.state, self.worst["verdict"]
+        text = (
+            f"M_a {state.mass:g} kg, B {state.damping:g} N/(m/s), filter {state.filter:g} rad/s on {state.axis.name}: "
+            f"the worst of {self.study.corners} corners and {state.plants} random plants is {self._worst_in_words}."
+        )
+        if self.wall.verdict not in ("bouncing", "unstable") and self.wall_poles_stable:
+            creeps = "warning" if worst in ("creeping", "no_motion") else "stop"
+            return ("good" if worst in ("stable", "dead_band") else creeps), text
+        poles = "" if self.wall_poles_stable else ", where the poles of the loop are unstable"
+        return "stop", f"{text} Pushed into the wall of {state.wall:g} N/mm it is {self.wall.verdict}{poles}."
+
+    @property
+    def _worst_in_words(self) -> str:
+        """What the worst plant is, and how much of it its curve shows."""
+        run, verdict = self.runs[WORST], self.worst["verdict"]
+        if run.verdict != verdict:
+            length = quantity(len(run.t) * self.state.axis.sampling.period, "s", 3)
+            return f"{verdict.replace('_', ' ')} by its poles ({run.verdict.replace('_', ' ')} in the {length} drawn)"
+        if verdict != "limit_cycle":
+            return verdict.replace("_", " ")
+        low, high = (quantity(float(one[0]), "m/s", 2) for one in (run.measures.end_min_v, run.measures.end_max_v))
+        moving = np.flatnonzero(run.v)
+        last = int(moving[-1]) if moving.size else 0
+        since = quantity(float(run.t[last]), "s", 3)
+        still = "" if last == run.v.size - 1 else f"; the curve drawn stands from {since} on"
+        return f"in a limit cycle, with velocities from {low} to {high} long after the release{still}"
+
+    def rows(self) -> list[tuple[str, str]]:
+        """The verdicts, and what the worst plant feels like."""
+        state, worst, wall = self.state, self.worst, self.wall
+        exact = self.runs[EXACT].verdict
+        share, low, high = self.study.stable_share
+        peak = "" if wall.peak_force is None else f", at most {quantity(wall.peak_force, 'N')}"
+        off = ", ".join(
+            f"{name.replace('_', ' ')} {100 * e:+.1f} %".replace("-", "−") for name, e in worst["errors"].items()
+        )
+        felt = f"{quantity(worst['apparent_mass'], 'kg')}, {quantity(worst['apparent_damping'], 'N/(m/s)')}"
+        among = f" (95 %: {100 * low:.3g} to {100 * high:.3g} %)" if state.plants else ", of the corners"
+        return [
+            ("verdict, exact estimates", exact.replace("_", " ")),
+            (f"verdict, worst within ±{state.mismatch_percent:g} %", worst["verdict"].replace("_", " ")),
+            ("estimates of the worst", off),
+            ("come to rest when let go", f"{100 * share:.4g} %{among}"),
+            ("worst: apparent mass, damping", felt),
+            ("worst: peak voltage", quantity(worst["peak_voltage"], "V")),
+            ("worst: rms force of the hand", quantity(worst["effort"]["rms_force"], "N")),
+            (f"pushed into a wall of {state.wall:g} N/mm", wall.verdict + peak),
+            (
+                f"poles of the loop at that wall{', without the effects' if left_out(state.axis) else ''}",
+                "stable" if self.wall_poles_stable else "unstable",
+            ),
+        ]
+
+    def figures(self) -> dict[str, Figure]:
+        """The pictures as matplotlib figures by name."""
+        from emps_design.report.impedance import mismatch_figure, task_figure, wall_figure
+
+        return {
+            "task": task_figure(self.runs, self.study.task),
+            "wall": wall_figure(self.wall),
+            "plants": mismatch_figure(self.study),
+        }
+
+    def captions(self) -> dict[str, str]:
+        """What to see in each of the pictures."""
+        state, task = self.state, self.study.task
+        return {
+            "task": f"The hand lets go after {quantity(task.release * task.period, 's', 3)}: the carriage must "
+            f"then come to rest, not creep on or swing. {WORST.capitalize()}: "
+            f"{self.runs[WORST].verdict.replace('_', ' ')}.",
+            "wall": f"A push of {state.push:g} N into a wall of {state.wall:g} N/mm, exact estimates: "
+            f"{self.wall.verdict}. The position must come to rest at the wall, not bounce off it for ever.",
+            "plants": f"What estimates up to {state.mismatch_percent:g} % wrong do: apparent mass and damping, "
+            "coloured by verdict, and how many plants get which.",
+        }
+
+
+def simulate(state: State, progress: Progress | None = None) -> Simulated:
+    """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
+    from emps_design.comanipulation.run import run_task
+    from emps_design.comanipulation.study import mismatch_study, run_worst
+    from emps_design.comanipulation.task import fitted_task
+    from emps_design.comanipulation.wall import push_into_wall
+    from emps_design.control.impedance.law import FrictionModel, impedance_law
+    from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
+
+    tell = progress or untold
+    axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3
+    law = impedance_law(axis, state.mass, state.damping, state.filter)
+    if state.task == "guided":
+        task = fitted_task(axis, law, mismatch, hand=(state.hand_stiffness, state.hand_damping))
+    else:
+        task = fitted_task(axis, law, mismatch, force=state.push)
+    study = mismatch_study(
+        axis,
+        law,
+        mismatch,
+        state.plants,
+        state.seed,
+        task=task,
+        progress=of_part(tell, 0.0, 0.8),
+    )
+    tell("the worst plant", 0.8)
+    worst = study.plant(study.worst)
+    runs = {EXACT: run_task(axis, law, task), WORST: run_worst(axis, study)}
+    tell("the wall", 0.9)
+    wall = push_into_wall(axis, law, stiffness, state.push)
+    poles = sampled_loop(
+        law, FrictionModel.of(axis), Clock.of(axis), environment=Environment(stiffness=stiffness)
+    ).stable
+    tell("drawing", 0.95)
+    return Simulated(state, runs, study, worst, wall, poles)
 
 
 class SimulationView:

@@ -10,12 +10,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from emps_design.axis import Axis
-from emps_design.control.velocity.structure import STRUCTURES, own_filters, own_structure
+from emps_design.control.velocity.gains import STRUCTURES, own_filters, own_structure
 from emps_design.errors import InputError, nearest_name
 from emps_design.laws.library.cascade import Filter
 from emps_design.quantities import read_frequency
-from emps_design.studio.ranges import CHOICES, Choice, choices_of, position_gain
-from emps_design.studio.start import first_specification
+from emps_design.studio.ranges import CHOICES, Choice, choices_of, first_specification, position_gain
 
 MOST_FILTERS = 8
 SPECIFICATIONS = ("crossover", "bandwidth")

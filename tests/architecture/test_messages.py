@@ -8,7 +8,7 @@ import pytest
 import typer
 
 from emps_design.cli.app import COMMANDS, _application
-from emps_design.cli.flags import FLAGS, FLAGS_OF, in_flags
+from emps_design.cli.output import FLAGS, FLAGS_OF, in_flags
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "emps_design"
@@ -67,7 +67,7 @@ def test_a_flag_in_a_message_is_seen():
 
 
 def test_a_command_speaks_of_the_axis_it_loads():
-    """``cli.wording.load_axis`` sets the units of what is printed; the library's own does not."""
+    """``cli.output.load_axis`` sets the units of what is printed; the library's own does not."""
     bare = re.compile(r"from emps_design\.machines import .*\bload_axis\b")
     modules = sorted((PACKAGE / "cli").glob("*.py"))
-    assert [m.name for m in modules if bare.search(m.read_text(encoding="utf-8"))] == ["wording.py"]
+    assert [m.name for m in modules if bare.search(m.read_text(encoding="utf-8"))] == ["output.py"]

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import bilinear, lfilter, lfiltic
 
 from emps_design.axis import Axis
-from emps_design.discrepancy.checks.controller_law import law_voltage
+from emps_design.discrepancy.preparation import law_voltage
 from emps_design.errors import AxisError
 from emps_design.laws import law_of
 from emps_design.machines import machine

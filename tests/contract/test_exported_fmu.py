@@ -11,8 +11,8 @@ import pytest
 import emps_design.effects as effects
 from emps_design.axis import Axis
 from emps_design.cli import app
-from emps_design.codegen import export_controller, fmu
-from emps_design.codegen.fmu import controller_unit, machine_unit, machine_vectors
+from emps_design.codegen import export, export_controller
+from emps_design.codegen.export import controller_unit, machine_unit, machine_vectors
 from emps_design.compensation import compensate
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError
@@ -206,17 +206,17 @@ def test_the_folder_has_both_units_and_says_what_is_in_them(tmp_path, capsys, mo
     assert app.run(["export", "emps2019", "--to", "fmu", "--out", str(tmp_path)]) == 0
     page = (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "emps2019_machine.fmu" in page
-    assert fmu.binary_for() in page
+    assert export.binary_for() in page
     inside = zipfile.ZipFile(tmp_path / "emps2019.fmu").namelist()
     assert "sources/emps2019.c" in inside
-    assert f"binaries/{fmu.binary_for()}/emps2019.so" in inside
+    assert f"binaries/{export.binary_for()}/emps2019.so" in inside
     rows = np.genfromtxt(tmp_path / "machine.csv", delimiter=",", names=True)
     (position,) = replayed(
         (tmp_path / "emps2019_machine.fmu").read_bytes(), tmp_path, {"u": rows["u"]}, ["position"], 1e-3
     )
     np.testing.assert_allclose(position, rows["position"], rtol=0.0, atol=1e-9)
     capsys.readouterr()
-    monkeypatch.setattr(fmu.shutil, "which", lambda name: None)
+    monkeypatch.setattr(export.shutil, "which", lambda name: None)
     assert app.run(["export", "emps2019", "--to", "fmu", "--out", str(tmp_path / "new")]) == 0
     assert "no C compiler was found" in capsys.readouterr().err
     assert not any("binaries" in name for name in zipfile.ZipFile(tmp_path / "new" / "emps2019.fmu").namelist())

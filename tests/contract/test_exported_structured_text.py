@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from emps_design.codegen import export_controller
+from emps_design.codegen.languages import ST_KEYWORDS, functions_in_st
 from emps_design.codegen.program import ARRAY, INT, REAL
 from emps_design.codegen.reader import read_program
-from emps_design.codegen.st import KEYWORDS, functions_in_st
 from emps_design.laws import LAWS, get_law
 from tests.contract.test_exported_laws import (
     COMPENSATED,
@@ -130,6 +130,6 @@ def test_names_and_statements_of_python_find_theirs():
         memory = [0.1, 0.2, 0.3]
         assert space[kernel](k, at, memory) == mixed(k, at, list(memory))
     names = set(re.findall(r"(?m)^    (\w+)(?:, \w+)* : ", text))
-    assert not {name.lower() for name in names} & KEYWORDS
+    assert not {name.lower() for name in names} & ST_KEYWORDS
     assert all(re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name) for name in names)
     assert SimpleNamespace(**space).x_mixed

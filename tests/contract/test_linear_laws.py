@@ -9,9 +9,9 @@ import pytest
 import emps_design.laws as laws
 from emps_design.axis import Axis
 from emps_design.cli import app
+from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import ImpedanceLaw, law_for
-from emps_design.control.loop.sampled_loop import axis_loop, close
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.sampled import axis_loop, close
 from emps_design.control.velocity.sampled import velocity_law
 from emps_design.errors import AxisError
 from emps_design.laws import LAWS, Law, law_of
@@ -59,7 +59,7 @@ def test_symbols_through_the_kernel_are_the_derived_law():
     """(28) and (29) by SymPy, (30) derived, come out of the kernel that runs in the drive, gain by gain."""
     import sympy as sp
 
-    from emps_design.paper import symbols as d
+    from emps_design.paper import written as d
     from emps_design.paper.derivations.impedance import derived_law
 
     i, T_s, tau = impedance_file, sp.Symbol("T", positive=True), sp.Symbol("tau", real=True)
@@ -84,7 +84,7 @@ def test_symbols_through_the_kernel_are_the_derived_law():
 
 
 def test_the_pure_algebra_is_the_derived_law():
-    from emps_design.paper import symbols as d
+    from emps_design.paper import written as d
     from emps_design.paper.derivations.impedance import derived_law
 
     i = impedance_file

@@ -5,13 +5,12 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.control.controller import controller_margins
+from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.robustness import drift_threshold
-from emps_design.control.loop.sampled_loop import OUTPUTS, axis_loop
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.implementation import difference_equation
-from emps_design.control.velocity.lags import LaggedVelocityLoop
-from emps_design.control.velocity.structure import IP
+from emps_design.control.sampled import OUTPUTS, axis_loop
+from emps_design.control.velocity.design import design_velocity_loop, difference_equation
+from emps_design.control.velocity.gains import IP
+from emps_design.control.velocity.sampled import LaggedVelocityLoop
 from emps_design.errors import AxisError
 from emps_design.laws import get_law, law_of
 from emps_design.laws.estimators import NAMED, polynomials

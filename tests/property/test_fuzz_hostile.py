@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 
 from emps_design.cli import app
 from emps_design.cli.output import json_text
-from emps_design.discrepancy.checks.requirements import MOST_SAMPLES, check_records
+from emps_design.discrepancy.preparation import MOST_SAMPLES, check_records
 from emps_design.errors import EmpsError, InputError, RecordError, one_line
 from emps_design.files import destination, write_text
 from emps_design.machines import machine
 from emps_design.records import Record, read_record
 from emps_design.report.page import Callout, Facts, Page, Picture, Points, Section, Table, Text
 from emps_design.report.style import subplots
-from emps_design.simulation.reference_file import read_reference
+from emps_design.simulation.scenarios import read_reference
 from tests.property.fuzzing import fuzz
 
 STATUSES = (0, 2, 3, 4)
@@ -244,7 +244,7 @@ def test_references_that_are_none(content, tmp_path_factory):
 @fuzz
 @given(headers=st.dictionaries(st.sampled_from(["Host", "Origin"]), st.text(max_size=30)), port=st.integers(1, 65535))
 def test_hosts(headers, port):
-    access = pytest.importorskip("emps_design.studio.access", reason="the extra 'studio' is not installed")
+    access = pytest.importorskip("emps_design.studio.app", reason="the extra 'studio' is not installed")
     assert not access.local(headers, port) or headers["Host"].rpartition(":")[0] in access.NAMES
     good = {"Host": f"localhost:{port}"}
     assert access.local(good, port)

@@ -17,8 +17,7 @@ from scipy.io import savemat
 from emps_design.errors import RecordError
 from emps_design.records import Record, record_from_bytes
 from emps_design.records.check import PLAIN
-from emps_design.records.layout import Layout
-from emps_design.records.mapping import ColumnMap
+from emps_design.records.layout import ColumnMap, Layout
 from emps_design.records.readers import titles_from_bytes
 from emps_design.units import Units
 from tests.property.fuzzing import fuzz

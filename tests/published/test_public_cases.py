@@ -7,7 +7,7 @@ from emps_design.axis import Axis
 from emps_design.identification import identify
 from emps_design.identification.several import identify_together
 from emps_design.importing import import_record
-from emps_design.importing.trace import axis_text, read_trace
+from emps_design.importing.account import axis_text, read_trace
 from tests.conftest import DATA
 
 MOTOR = {

@@ -6,16 +6,16 @@ from scipy.optimize import least_squares
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.checks.preparation import prepare
-from emps_design.discrepancy.model.fit import fit
-from emps_design.discrepancy.model.problem import Hypothesis
-from emps_design.discrepancy.search.noise_floor import LEFT, floor_of_residual
+from emps_design.discrepancy.fit import fit
+from emps_design.discrepancy.noise_floor import LEFT, floor_of_residual
+from emps_design.discrepancy.preparation import prepare
+from emps_design.discrepancy.problem import Hypothesis
 from emps_design.effects import get_effect
 from emps_design.importing import import_record
 from emps_design.machines import machine
 from emps_design.records import read_record
 from emps_design.simulation import Plant
-from emps_design.simulation.driven import driven_by
+from emps_design.simulation.run import driven_by
 from tests.conftest import DATA
 
 LAP = 6240  # samples of DATA_EMPS

@@ -22,7 +22,7 @@ from numpy.polynomial import polynomial as poly
 
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.sampled import Clock, Environment, numbers, sampled_loop, spectral_radius
-from emps_design.control.loop.sampled_loop import MARGINAL
+from emps_design.control.sampled import MARGINAL
 from emps_design.stretches import stretches
 
 Bands = tuple[tuple[float, float], ...]

@@ -3,6 +3,11 @@
 A mismatch ``e`` lets each estimate be anything in ``(1 +- e)`` times the plant's number. Coulomb friction moves no
 pole; over-estimated it drives the carriage, ``v = (c Fh_c - F_c) / (B + F_v - Fh_v)`` for ever, under-estimated it
 leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the carriage moving.
+
+The margins of an impedance law at the plant input, where a force gain that is off, a delay or a slow drive acts.
+
+The law cancels friction and part of the mass by what it believes of them, so a force gain above the one it believes is
+over-compensation: its gain margin is often reached at rest, where the apparent damping vanishes.
 """
 
 from __future__ import annotations
@@ -15,7 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
+from emps_design.axis import Axis
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.sampled import (
     Clock,
     numbers,
@@ -24,16 +31,21 @@ from emps_design.control.impedance.sampled import (
     sampled_loop,
     spectral_radius,
 )
-from emps_design.control.loop.sampled_loop import MARGINAL
+from emps_design.control.nested_loops import PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
+from emps_design.control.sampled import MARGINAL
+from emps_design.control.velocity.load_range import corners as corners_of
 from emps_design.errors import InputError
 from emps_design.laws.estimators import TWO_TAP, forgets
 from emps_design.laws.friction_model import PARAMETERS
+from emps_design.laws.linear import linear_law
 
 STEP = 1.05  # between apparent masses that are tried
 MORE_DAMPING = (1.0, 1.5, 2.25)  # times what the law has, or what the mismatch leaves none of
 ALIKE = 0.2  # logarithm of mass and filter, within which a law swings where another one does
 # By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
+
+SPEED = 0.1  # m/s, of the slide in which effects are linearised
 
 
 def check_mismatch(mismatch: float) -> float:
@@ -337,3 +349,25 @@ def _nearest_in_mass_and_filter(
         around = np.hypot(np.log(grid_mass / found.mass), np.log(grid_filter / found.filter))
         distance[around <= ALIKE] = np.inf
     return None
+
+
+def impedance_loops(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> tuple[NestedLoop, ...]:
+    """Return the loop of ``law`` on ``axis`` in every direction, and with estimates off to the corners of ``mismatch``.
+
+    >>> from emps_design.control.impedance.law import impedance_law
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018")
+    >>> for damping in (100.0, 300.0):
+    ...     print(round(impedance_loops(axis, impedance_law(axis, 50.0, damping))[0].margins.gain_margin, 2))
+    1.27
+    1.77
+    """
+    plant = FrictionModel.of(axis)
+    corners = corners_of({"mass": mismatch, "viscous": mismatch}) if mismatch else []  # what a slide depends on
+    period, found = axis.sampling.period, []
+    for direction in plant.directions:
+        sampled = sample_axis(axis, direction * SPEED)
+        for errors in ({}, *corners):
+            form = linear_law(law_for(axis, law.with_errors(errors), period), period, float(direction))
+            found.append(NestedLoop(WHOLE, PLANT_INPUT, at_plant_input(sampled, form), errors))
+    return tuple(found)

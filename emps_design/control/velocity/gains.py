@@ -1,17 +1,38 @@
-"""Closed forms of the velocity loop: gains from a specification, (7), and what follows from it alone, (9).
+"""Closed forms of the velocity loop: gains from a specification, (7) and (9), in both structures, IP and PI.
+
+Closed forms of the velocity loop: gains from a specification, (7), and what follows from it alone, (9).
 
 Where nothing is refused, arrays (n,) in the place of numbers give as many answers.
+
+The two structures of a velocity loop with a gain and an integral time, in closed form: IP as in the paper, and PI.
+
+IP has its proportional part on the measured velocity, u = k_v1 (e/(t_v s) - qd), (6) to (9). PI, which servo drives
+run, has it on the velocity error e, u = k_v1 (1 + 1/(t_v s)) e. Broken at the plant input the two are one loop, with
+the same poles and the same answer to a disturbance; the reference acts through a zero besides:
+
+    T_vc(s) = (1 + t_v s) / (1 + (t_v + F_v/K_v) s + M/K_v s^2)
+
+so the same gains answer a step faster and overshoot more. A reference filter 1/(1 + t_v s) in front takes the zero
+away, and what is left is (8). Broken at the velocity error PI is the loop at the plant input, so its gains for a
+crossover and a phase margin are others than those of (7). ``derive`` has the steps.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from emps_design.errors import SpecificationError
+from emps_design.axis import Axis
+from emps_design.errors import InputError, SpecificationError
+from emps_design.laws import table_of
+from emps_design.laws.library import cascade
 
 MINUS_3_DB = 10.0 ** (-3.0 / 20.0)
+
+FORMS = ("ip", "pi")
+PLACES = ("plant-input", "velocity-error")  # where the loop may be broken
 
 
 def feasible_phase_margin(mass: float, viscous: float, crossover: Any) -> tuple[Any, float]:
@@ -122,3 +143,140 @@ def binding_limit(phase_margin_deg: float) -> str:
     if phase_margin_deg >= 90.0:
         return "the upper limit binds, at 90 deg k_v1 is infinite"
     return "the lower limit binds, below atan(F_v/(M w)) k_v1 is not positive"
+
+
+@dataclass(frozen=True)
+class Structure:
+    """One structure: its ``form``, "ip" or "pi", and whether a reference filter 1/(1 + t_v s) comes before a "pi".
+
+    Arrays in the place of numbers give as many answers.
+
+    >>> K, t_v = PI.gains(2.0, 1.0, 10.0, 45.0)
+    >>> round(float(abs(K * (1 + 1 / (t_v * 10j)) / (2.0 * 10j + 1.0))), 9)
+    1.0
+    """
+
+    form: str = "ip"
+    reference_filter: bool = False
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise InputError(f"structure: found {self.form!r}, expected {' or '.join(FORMS)}")
+        if self.form == "ip" and self.reference_filter:
+            raise InputError("reference filter: found one with structure 'ip', which has no zero to take away")
+
+    @property
+    def label(self) -> str:
+        """The structure in a word or two."""
+        return f"{self.form.upper()}{' with reference filter' if self.reference_filter else ''}"
+
+    @property
+    def largest_phase_margin(self) -> float:
+        """The phase margin [deg] from which on no plant has gains, at any crossover."""
+        return 90.0 if self.form == "ip" else 180.0
+
+    @property
+    def as_computed(self) -> Structure:
+        """The structure whose law computes the same, sample by sample: PI behind its reference filter is IP."""
+        return IP if self.reference_filter else self
+
+    def place(self, at: str) -> str:
+        """The place, one of ``PLACES``, having the loop broken ``at``: with "pi" both have that of the plant input."""
+        return PLACES[0] if self.form == "pi" else at
+
+    def zero(self, t_v: Any) -> Any:
+        """Time constant [s] of the zero of the closed loop: 1 + zero s in its numerator."""
+        return t_v if self.form == "pi" and not self.reference_filter else 0.0
+
+    def feasible_phase_margin(self, mass: float, viscous: float, crossover: Any) -> tuple[Any, Any]:
+        """Open interval of phase margins [deg] that have gains at ``crossover`` [rad/s].
+
+        At the lower end k_v1 is 0; at the upper one k_v1 of "ip" is infinite and 1/t_v of "pi" is 0.
+
+        >>> [round(float(end), 2) for end in PI.feasible_phase_margin(115.7315, 474.9727, 100.0)]
+        [2.35, 92.35]
+        """
+        low, high = feasible_phase_margin(mass, viscous, crossover)
+        return low, high if self.form == "ip" else high + low
+
+    def binding_limit(self, phase_margin_deg: float) -> str:
+        """Say which end of the feasible range a phase margin [deg] outside it violates."""
+        if self.form == "pi" and phase_margin_deg >= 90.0:
+            return "the upper limit binds, at 90 deg and atan(F_v/(M w)) more the integral action is gone"
+        return binding_limit(phase_margin_deg)
+
+    def gains(self, mass: Any, viscous: Any, crossover: Any, phase_margin_deg: Any) -> tuple[Any, Any]:
+        """K = k_v1 G_tau [N/(m/s)] and t_v [s] for crossover [rad/s] and phase margin of T_vo; positive or not."""
+        if self.form == "ip":
+            return plant_input_gain(mass, viscous, crossover, phase_margin_deg)
+        phase = np.radians(phase_margin_deg)
+        gain = mass * crossover * np.sin(phase) - viscous * np.cos(phase)
+        return gain, gain / (crossover * (mass * crossover * np.cos(phase) + viscous * np.sin(phase)))
+
+    def bandwidth(self, omega_0v: Any, z_v: Any, t_v: Any) -> Any:
+        """Frequency [rad/s] where T_vc has fallen to -3 dB; ``omega_0v`` and ``z_v`` of (9)."""
+        return second_order_bandwidth(omega_0v, z_v, self.zero(t_v))
+
+    def crossover_of_bandwidth(self, mass: float, viscous: float, bandwidth: Any, phase_margin_deg: Any) -> Any:
+        """Crossover [rad/s] whose closed loop has that -3 dB ``bandwidth`` [rad/s]; NaN where no gains have it.
+
+        >>> w = PI.crossover_of_bandwidth(2.0, 1.0, 50.0, 60.0)
+        >>> K, t_v = PI.gains(2.0, 1.0, w, 60.0)
+        >>> L = K * (1 + 1 / (t_v * 50j)) / (2.0 * 50j + 1.0)
+        >>> round(float(abs(L / (1 + L))), 6)  # 10^(-3/20)
+        0.707946
+        """
+        if self.form == "ip":
+            return crossover_of_bandwidth(bandwidth, phase_margin_deg)
+        f, phase = np.broadcast_arrays(viscous / mass / np.asarray(bandwidth, float), np.radians(phase_margin_deg))
+        found = self._crossover(f.ravel(), phase.ravel()).reshape(f.shape)
+        return (found * bandwidth)[()]
+
+    def _crossover(self, f: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        """Crossovers (n,) in units of the bandwidth; ``f`` is F_v/M in the same. The lowest where there are several."""
+        s, c = np.sin(phase), np.cos(phase)
+        power, ahead = MINUS_3_DB**-2, 0.0 if self.reference_filter else MINUS_3_DB**-2
+        # power K_v^2 + ahead K^2 = (K_v - 1)^2 + (f + K)^2, over M, with K = s w - f c and K_v = c w^2 + f s w
+        powers_of_w = (
+            (power - 1.0) * c * c,
+            2.0 * (power - 1.0) * c * f * s,
+            (power - 1.0) * f * f * s * s + 2.0 * c + (ahead - 1.0) * s * s,
+            2.0 * f * s * c * (1.0 - ahead),
+            -1.0 + ahead * f * f * c * c - f * f * (1.0 - c) ** 2,
+        )
+        companion = np.tile(np.eye(4, k=-1), (f.size, 1, 1))
+        companion[:, 0] = -np.stack(powers_of_w[1:], axis=-1) / powers_of_w[0][:, None]
+        roots, f, s, c = np.linalg.eigvals(companion), f[:, None], s[:, None], c[:, None]
+        real = roots.real
+        good = (np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (real > 0.0) & (s * real > f * c) & (c * real > -f * s)
+        found = np.min(np.where(good, real, np.inf), axis=-1)
+        return np.where(np.isfinite(found), found, np.nan)
+
+
+def own_structure(axis: Axis, structure: Structure | None = None) -> Structure:
+    """``structure``, or where that is None the one of the controller of ``axis``: IP, but for a cascade with PI."""
+    own = _cascade(axis) if structure is None else None
+    return structure or (Structure(own.velocity.form) if own else IP)
+
+
+def own_filters(axis: Axis, filters: tuple[cascade.Filter, ...] | None = None) -> tuple[cascade.Filter, ...]:
+    """``filters``, or where that is None those of the controller of ``axis``: none, but for a cascade."""
+    own = _cascade(axis) if filters is None else None
+    return filters or (own.filters if own else ())
+
+
+def own_gains(axis: Axis) -> tuple[float, float] | None:
+    """k_v1 [V/(m/s)] and t_v [s] of the velocity loop that the controller of ``axis`` has; None where it has none."""
+    own = _cascade(axis)
+    k_v1, t_v = (own.velocity.kp, own.velocity.ti) if own else (axis.controller.k_v1, axis.controller.t_v)
+    return None if k_v1 is None or t_v is None else (k_v1, t_v)
+
+
+def _cascade(axis: Axis) -> cascade.Table | None:
+    """The cascade that ``axis`` has for a controller, None where it has none."""
+    table = table_of(axis) if axis.controller.kind == cascade.LAW.name else None
+    return table if isinstance(table, cascade.Table) else None
+
+
+IP, PI, PI_WITH_REFERENCE_FILTER = Structure(), Structure("pi"), Structure("pi", True)
+STRUCTURES = (IP, PI, PI_WITH_REFERENCE_FILTER)

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.margins import disk_size
-from emps_design.control.plant.discretisation import SampledPlant, sample_axis
-from emps_design.control.velocity.implementation import command_in_a_step, encoder_voltage_noise
+from emps_design.control.discretisation import SampledPlant, sample_axis
+from emps_design.control.margins import disk_size
+from emps_design.control.velocity.design import command_in_a_step, encoder_voltage_noise
+from emps_design.control.velocity.gains import IP, Structure
 from emps_design.control.velocity.retune import retuned_gains
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import ROOM
-from emps_design.control.velocity.structure import IP, Structure
 from emps_design.control.velocity.sweeps import sweep_sampled_margins
 from emps_design.laws.library.cascade import Filter
 

@@ -12,12 +12,11 @@ import math
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import SampledPlant, sample_axis
+from emps_design.control.discretisation import SampledPlant, sample_axis
 from emps_design.control.velocity.design import VelocityLoopDesign
-from emps_design.control.velocity.gains import MINUS_3_DB
+from emps_design.control.velocity.gains import IP, MINUS_3_DB, PLACES, Structure, own_filters, own_structure
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.control.velocity.specification import Pairs, check_specification, nearest_that_works, proposal_in_words
-from emps_design.control.velocity.structure import IP, PLACES, Structure, own_filters, own_structure
 from emps_design.control.velocity.sweeps import sweep_stability
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter

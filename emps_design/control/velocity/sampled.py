@@ -1,28 +1,110 @@
-"""The velocity loop as implemented: hold, delays, current loop, effects and velocity estimator.
+"""The velocity loop as implemented: sampled, and continuous with every lag; what it answers to a step.
+
+The velocity loop as implemented: hold, delays, current loop, effects and velocity estimator.
 
 Stability is read from the closed-loop poles first; an unstable loop has no margins.
+
+What a closed loop answers to a step that is held on one of its inputs, however long that takes.
+
+A held input is a state that stays, so many samples together are one matrix product, exact. The first samples are all
+told; from there on blocks of consecutive ones, with gaps between them that grow with the time that has passed, so that
+a loop a million samples slow is told like any other.
+
+The continuous velocity loop with every lag: current loop, computation delay, filters, effects, velocity filter.
+
+The closed forms (6) to (9) take one rigid mass behind an ideal drive. Here the same gains act on the whole linear
+plant, still in continuous time: of the loop as implemented only the hold and the differences that estimate the
+velocity are missing, not a filter behind them. A delay is exact in every response; where the poles say whether the loop
+is stable it is its approximant of Pade, order 8.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.control.loop.margins import Margins, further_down, loop_margins
-from emps_design.control.loop.sampled_loop import SampledLoop, close
-from emps_design.control.loop.steps import step_answer
-from emps_design.control.plant.discretisation import SampledPlant
-from emps_design.control.velocity.structure import IP, Structure
+from emps_design.control.discretisation import SampledPlant, frequencies_around, oscillations
+from emps_design.control.linear_plant import POSITION, LinearPlant, linear_plant
+from emps_design.control.margins import Margins, further_down, loop_margins
+from emps_design.control.sampled import OUTPUTS, SampledLoop, close, transfer
+from emps_design.control.velocity.gains import IP, Structure
 from emps_design.laws import LawKind
+from emps_design.laws.estimators import BACKWARD, continuous, estimator_in_words
 from emps_design.laws.law import TWO_TAP, LawTable
 from emps_design.laws.library import cascade, ip_velocity
+from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import LinearLaw, linear_law
 
 if TYPE_CHECKING:
     import control
+
+    from emps_design.axis import Axis
+
+BLOCK = 64  # consecutive samples, and at least a cycle
+EVERY = 20_000  # samples from the start on that are all told
+BLOCKS = 128  # so many of them at least, where a cycle makes them long
+
+PADE = 8
+MARGINAL = 1e-9  # share of the largest pole by which one may lie right of the imaginary axis: rounding
+TURN = 0.2  # rad, by which a delay may turn the response between two frequencies that are looked at
+System = tuple[np.ndarray, np.ndarray, np.ndarray, float]  # A (n, n), b (n,), c (n,), d
+
+
+def step_answer(loop: SampledLoop, by: str, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples k (m,), outputs (m, 4) at them and position [m] at their ends after a unit step of ``by`` from rest.
+
+    ``samples`` is how far that goes: up to :data:`EVERY` all of them are told. ``loop`` is a single one.
+
+    >>> A, B, C = np.array([[0.5]]), np.array([[1.0]]), np.ones((4, 1))
+    >>> k, found, _ = step_answer(SampledLoop(A, B, C, np.zeros((4, 1)), 1e-3, ("reference",)), "reference", 4)
+    >>> k.tolist(), found[:, 0].tolist()
+    ([0, 1, 2, 3], [0.0, 1.0, 1.5, 1.75])
+    """
+    moves, told = _with_the_step(loop, loop.inputs.index(by))
+    length = loop.cycle * -(-BLOCK // loop.cycle)
+    block, rows = np.eye(moves.shape[-1]), np.empty((length, *told.shape[1:]))
+    for j in range(length):
+        rows[j] = told[j % loop.cycle] @ block
+        block = moves[j % loop.cycle] @ block
+    starts, states = _blocks(block, -(-samples // length), max(-(-EVERY // length), BLOCKS))
+    k = (length * starts[:, None] + np.arange(length)).ravel()
+    found = np.tensordot(states, rows, axes=(1, 2)).reshape(k.size, -1)
+    within = k < samples
+    return k[within], found[within, :-1], found[within, -1]
+
+
+def _with_the_step(loop: SampledLoop, place: int) -> tuple[np.ndarray, np.ndarray]:
+    """By sample of a cycle: how the state moves, of which the last two are the position and the step; what is told."""
+    A, b, C, d = loop.A, loop.B[..., place], loop.C, loop.D[..., place]
+    if loop.cycle == 1:
+        A, b, C, d = A[None], b[None], C[None], d[None]
+    size, mean = A.shape[-1], OUTPUTS.index("mean_velocity")
+    told = np.zeros((loop.cycle, len(OUTPUTS) + 1, size + 2))
+    told[:, :-1, :size], told[:, :-1, -1] = C, d
+    told[:, -1] = loop.period * told[:, mean]
+    told[:, -1, size] = 1.0
+    moves = np.zeros((loop.cycle, size + 2, size + 2))
+    moves[:, :size, :size], moves[:, :size, -1], moves[:, -1, -1] = A, b, 1.0
+    moves[:, size] = told[:, -1]
+    return moves, told
+
+
+def _blocks(block: np.ndarray, count: int, every: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which of ``count`` blocks are told, (m,), ``every`` so many first ones and then half as many for each doubling of
+    the time; and the states at their beginnings (m, n)."""
+    state, gap, at, left = np.eye(len(block))[-1], 1, 0, every
+    starts, states = [], []
+    while at < count:
+        starts.append(at)
+        states.append(state)
+        state, at, left = block @ state, at + gap, left - 1
+        if not left:
+            block, gap, left = block @ block, 2 * gap, every // 2
+    return np.array(starts), np.array(states)
 
 
 @dataclass(frozen=True)
@@ -32,7 +114,7 @@ class SampledVelocityLoop:
     ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them give as many responses, and nothing else. The filters are those of
     ``plant``.
 
-    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2018"))
     >>> loop = SampledVelocityLoop(plant, 556.766, 8.45505e-3)
@@ -147,9 +229,9 @@ class SampledVelocityLoop:
     def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, dry friction left out.
 
-        Of more than :data:`~emps_design.control.loop.steps.EVERY` samples the later ones have gaps.
+        Of more than :data:`~emps_design.control.velocity.sampled.EVERY` samples the later ones have gaps.
 
-        >>> from emps_design.control.plant.discretisation import sample_axis
+        >>> from emps_design.control.discretisation import sample_axis
         >>> from emps_design.machines import machine
         >>> t, v, u = SampledVelocityLoop(sample_axis(machine("emps2018")), 556.766, 8.45505e-3).step_response()
         >>> round(float(v[-1]), 6)
@@ -213,3 +295,166 @@ def velocity_table(
         return ip_velocity.LAW, ip_velocity.Table(k_v1=k_v1, t_v=t_v, **own)
     loop = cascade.VelocityLoop.model_validate({"kp": k_v1, "ti": t_v, "form": structure.form})
     return cascade.LAW, cascade.Table(velocity=loop, filters=filters, **own)
+
+
+@dataclass(frozen=True)
+class LaggedVelocityLoop:
+    """Given gains in the continuous loop with all lags: ``k_v1`` [V/(m/s)], ``t_v`` [s], ``delay`` [s] of the command.
+
+    >>> from emps_design.control.velocity.design import design_velocity_loop
+    >>> from emps_design.machines import machine
+    >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
+    >>> found = design.with_lags.velocity_error  # 0.5 ms of current loop
+    >>> round(found.phase_margin_deg, 1), round(found.gain_margin, 1)
+    (58.7, 17.4)
+    """
+
+    plant: LinearPlant
+    k_v1: float
+    t_v: float
+    structure: Structure
+    filters: tuple[Filter, ...] = ()
+    delay: float = 0.0
+    estimator: Any = BACKWARD
+
+    @classmethod
+    def of(
+        cls, axis: Axis, velocity: float, k_v1: float, t_v: float, structure: Structure, filters: tuple[Filter, ...]
+    ) -> LaggedVelocityLoop:
+        """The loop on ``axis``, its effects linearised at ``velocity`` [m/s]."""
+        plant = linear_plant(axis, velocity)
+        late = axis.sampling.computation_delay * axis.sampling.period
+        return cls(plant, k_v1, t_v, structure, filters, plant.delay + late, axis.controller.velocity_estimator)
+
+    @property
+    def _velocity(self) -> System:
+        """From the command to the velocity of the encoder's reading; where the carriage is left out, if it may be."""
+        A, B, C = self.plant.A, self.plant.B, self.plant.C
+        row, through = C @ A, float(C @ B)
+        keep = np.arange(B.size)[POSITION + 1 :] if not np.any(A[:, POSITION]) else np.arange(B.size)
+        return A[np.ix_(keep, keep)], B[keep], row[keep], through
+
+    @property
+    def _filters(self) -> list[tuple[list[float], list[float]]]:
+        """Numerator and denominator in s of the command's filters and of the velocity estimator's."""
+        own = continuous(self.estimator)
+        return [*map(_polynomials, self.filters), *([own] if len(own[1]) > 1 else [])]
+
+    def plant_response(self, w: np.ndarray) -> np.ndarray:
+        """From the command before the filters to the velocity as estimated [(m/s)/V] at ``w`` [rad/s]."""
+        s = 1j * np.asarray(w, dtype=float)
+        found = transfer(*self._velocity, s) * np.exp(-self.delay * s)
+        for numerator, denominator in self._filters:
+            found = found * np.polyval(numerator, s) / np.polyval(denominator, s)
+        return found
+
+    def plant_input_response(self, w: np.ndarray) -> np.ndarray:
+        """Open loop broken at the plant input at ``w`` [rad/s]."""
+        return self.k_v1 * (1.0 + 1.0 / (1j * np.asarray(w) * self.t_v)) * self.plant_response(w)
+
+    def velocity_error_response(self, w: np.ndarray) -> np.ndarray:
+        """Open loop broken at the velocity error at ``w`` [rad/s]: T_vo with all lags."""
+        if self.structure.form == "pi":
+            return self.plant_input_response(w)
+        inner = self.k_v1 * self.plant_response(w)
+        return inner / (1j * np.asarray(w) * self.t_v) / (1.0 + inner)
+
+    @cached_property
+    def poles(self) -> np.ndarray:
+        """Poles of the closed loop [rad/s], those of a delay approximated."""
+        law: System = (np.zeros((1, 1)), np.ones(1), np.array([self.k_v1 / self.t_v]), self.k_v1)
+        chain = self._velocity
+        filters = [_companion(*one) for one in self._filters]
+        for one in (*([_pade(self.delay)] if self.delay > 0.0 else []), *filters, law):
+            chain = _series(one, chain)
+        A, b, c, d = chain
+        return np.linalg.eigvals(A - np.outer(b, c) / (1.0 + d))
+
+    @property
+    def stable(self) -> bool:
+        """Whether no pole lies right of the imaginary axis."""
+        poles = self.poles
+        return bool(poles.real.max() <= MARGINAL * np.abs(poles).max())
+
+    @property
+    def velocity_error(self) -> Margins:
+        """Margins of the loop broken at the velocity error."""
+        return loop_margins(self.velocity_error_response, self._frequencies, self.stable)
+
+    @property
+    def plant_input(self) -> Margins:
+        """Margins of the loop broken at the plant input."""
+        return loop_margins(self.plant_input_response, self._frequencies, self.stable)
+
+    @property
+    def _frequencies(self) -> np.ndarray:
+        """A grid [rad/s] from far below every motion of the loop to far above, finest where the plant is narrow."""
+        A = self._velocity[0]
+        sizes = np.abs(self.poles)
+        low, high = 1e-3 * sizes[sizes > MARGINAL * sizes.max()].min(), 1e3 * sizes.max()
+        peaks = [*oscillations(A), *((2.0 * math.pi * f.frequency, f.damping) for f in self.filters if f.damping)]
+        late = np.zeros(0)
+        if self.delay > 0.0:
+            late = np.arange(TURN / self.delay, 200.0 * TURN / self.delay, TURN / self.delay)
+        grid = np.unique(np.concatenate([np.geomspace(low, high, 600), frequencies_around(peaks), late]))
+        return grid[(grid >= low) & (grid <= high)]
+
+
+def left_out(axis: Axis, filters: tuple[Filter, ...] = ()) -> tuple[str, ...]:
+    """Name what ``axis`` and the ``filters`` have that the closed forms of mass and viscous friction leave out.
+
+    >>> from emps_design.machines import machine
+    >>> left_out(machine("emps2018")), left_out(machine("emps2019"))
+    (('the current loop (0.5 ms)',), ())
+    """
+    found = []
+    if axis.drive.current_time_constant:
+        found.append(f"the current loop ({1e3 * axis.drive.current_time_constant:.3g} ms)")
+    if axis.sampling.computation_delay:
+        late = 1e3 * axis.sampling.computation_delay * axis.sampling.period
+        found.append(f"the computation delay ({late:.3g} ms)")
+    if filters:
+        found.append("the filters of the command")
+    if len(continuous(axis.controller.velocity_estimator)[1]) > 1:
+        found.append(f"the velocity estimate ({estimator_in_words(axis.controller.velocity_estimator)})")
+    if axis.effects:
+        found.append("the effects of the axis")
+    return tuple(found)
+
+
+def _polynomials(one: Filter) -> tuple[list[float], list[float]]:
+    """Numerator and denominator in s, highest power first, of a filter."""
+    w = 2.0 * math.pi * one.frequency
+    if one.damping is None or one.depth is None:
+        return [w], [1.0, w]
+    return [1.0, 2.0 * one.depth * one.damping * w, w * w], [1.0, 2.0 * one.damping * w, w * w]
+
+
+def _pade(delay: float) -> System:
+    """The approximant of Pade of a ``delay`` [s]."""
+    powers = [1.0]
+    for k in range(PADE):
+        powers.append(powers[-1] * (PADE - k) / ((2 * PADE - k) * (k + 1)))
+    forward = [(-1.0) ** k * value for k, value in enumerate(powers)]
+    A, b, c, d = _companion(forward[::-1], powers[::-1])  # in s times the delay
+    return A / delay, b / delay, c, d
+
+
+def _companion(numerator: list[float], denominator: list[float]) -> System:
+    """A state space of a proper fraction, highest power first."""
+    a = np.array(denominator) / denominator[0]
+    n = a.size - 1
+    b = np.concatenate([np.zeros(n + 1 - len(numerator)), np.array(numerator) / denominator[0]])
+    A = np.eye(n, k=-1)
+    A[0] = -a[1:]
+    column = np.zeros(n)
+    column[0] = 1.0
+    return A, column, b[1:] - b[0] * a[1:], float(b[0])
+
+
+def _series(first: System, then: System) -> System:
+    """The system ``then`` behind the system ``first``."""
+    A1, b1, c1, d1 = first
+    A2, b2, c2, d2 = then
+    A = np.block([[A1, np.zeros((b1.size, b2.size))], [np.outer(b2, c1), A2]])
+    return A, np.concatenate([b1, b2 * d1]), np.concatenate([d2 * c1, c2]), d1 * d2

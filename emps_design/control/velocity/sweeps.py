@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.loop.margins import KEYS, LOWEST, margin_arrays
-from emps_design.control.loop.sampled_loop import MARGINAL, close
-from emps_design.control.plant.discretisation import SampledPlant
-from emps_design.control.plant.linear_plant import POSITION
-from emps_design.control.velocity.gains import positive_root, second_order_form
+from emps_design.control.discretisation import SampledPlant
+from emps_design.control.linear_plant import POSITION
+from emps_design.control.margins import KEYS, LOWEST, margin_arrays
+from emps_design.control.sampled import MARGINAL, close
+from emps_design.control.velocity.gains import IP, Structure, positive_root, second_order_form
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
-from emps_design.control.velocity.structure import IP, Structure
 from emps_design.errors import InputError
 from emps_design.laws.linear import linear_law
 
@@ -85,7 +84,7 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
     Where rounding may decide that, as in loops that are slow at their clock, its poles do.
     ``k_v1`` [V/(m/s)], ``t_v`` [s] (n,); returns (n,) of bool, False where the gains are NaN.
 
-    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
     >>> sweep_stability(sample_axis(machine("emps2018")), np.array([556.8, 5568.0]), np.array([8.455e-3, 8.455e-3]))
     array([ True, False])
@@ -150,12 +149,12 @@ def sweep_sampled_margins(
     """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
 
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
-    ``emps_design.control.loop.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
+    ``emps_design.control.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
     ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
     Without ``exact_delay`` the delay margin is that of the phase alone: right at whole samples, and so enough to
     compare with one of them.
 
-    >>> from emps_design.control.plant.discretisation import sample_axis
+    >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
     >>> found = sweep_sampled_margins(sample_axis(machine("emps2018")), np.array([556.766]), np.array([8.45505e-3]))
     >>> round(float(found["phase_margin_deg"][0]), 1), bool(found["stable"][0])

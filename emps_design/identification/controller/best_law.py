@@ -1,19 +1,62 @@
-"""The law that explains a command best, how well, and what else explains it: search, limit, noise, choice in turn."""
+"""The law that explains a command best, how well, and what else explains it: search, limit, noise, choice in turn.
+
+Where the limit of a command acts, told from the record and from the law that was found on the other samples.
+
+From the best candidate of a search to one law: terms that are zero left out, rivals fitted.
+
+A reference that is recorded in coarser steps than the drive has it: what is fed forward is then hidden by them.
+
+Its derivatives are part of the command. Where their rounding is about as loud as what tells derivatives of the profile
+from differences, and as loud as what the law leaves, filters and gains make up for noise that no drive has. A drive
+whose own reference has those steps leaves far less.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from emps_design.identification.controller.choice import choose, mirrored, simplify
-from emps_design.identification.controller.filters import Filter, filtered
-from emps_design.identification.controller.fit import Fit, fit
-from emps_design.identification.controller.limit import acting, longest_between, plateau
-from emps_design.identification.controller.noise import robust_deviation, usable_behind, whitening_filter
-from emps_design.identification.controller.regressors import Signals, Timing, regressors
+from emps_design.identification.controller.fit import (
+    Filter,
+    Fit,
+    compress,
+    derivatives,
+    estimator_slope,
+    filtered,
+    fit,
+    resolution,
+    robust_deviation,
+    solve,
+    usable_behind,
+    whitening_filter,
+)
+from emps_design.identification.controller.regressors import (
+    DELAYS,
+    ESTIMATORS,
+    EVERY,
+    PLACE,
+    PROPORTIONAL,
+    AnyEstimator,
+    Signals,
+    Structure,
+    Timing,
+    could_pass_for,
+    regressors,
+    rivals_of,
+    sought,
+)
 from emps_design.identification.controller.search import search
-from emps_design.identification.controller.structures import PROPORTIONAL, Structure
+from emps_design.laws.estimators import estimator_in_words
+
+PLATEAU = 3  # samples in a row at the largest command that may be the limit
+NOISE = 6.0  # deviations of the noise below the largest command that still count as it
+AT = 3.0  # deviations of the noise below the limit that a limited sample may be
+FEWEST_BEYOND = 5  # samples beyond the limit that show it
+
+NEARBY = 60.0  # of the criterion, at first order: closer ones are fitted in full
+FITTED = 3  # of them at most
 
 HOLDS = 0.05  # of the command's deviation: a law that leaves more is none
 AS_GOOD = 6.0  # of the information criterion, odds of 20 : 1: a rival closer than that cannot be told apart
@@ -21,6 +64,207 @@ LIMIT_ROUNDS = 4
 FEWEST = 200  # samples without a limit that a search begins anew with
 WORSE_THERE = 1.5  # times what is left elsewhere, where a command that is flat is limited
 WORSE = 1.1  # times what is left with the integral free behind each plateau: what it did there is then not told
+
+LOUD = 0.5  # of the difference between the sources
+ALIKE = 5.0  # times: what is left is of the size of this noise
+FED_FORWARD = [PLACE["slip"], PLACE["acceleration"]]
+
+
+def plateau(command: np.ndarray) -> np.ndarray:
+    """Samples (n,) in which ``command`` may be limited: in a row at its largest size, as far as its noise tells.
+
+    >>> plateau(np.array([0.0, 1.0, 2.0, 2.0, 2.0, 1.0, -1.0, 0.5])).tolist()
+    [False, False, True, True, True, False, False, False]
+    """
+    size = np.abs(command)
+    noise = robust_deviation(np.diff(command, 2)) / 6.0**0.5
+    top = float(size.max())
+    at = size >= top - min(NOISE * noise, 0.02 * top) - 1e-9 * top
+    run = np.convolve(at, np.ones(PLATEAU), "same") >= PLATEAU
+    if not run.any():
+        return run
+    level, spread = np.median(size[run]), robust_deviation(size[run])
+    return size >= level - NOISE * spread - 1e-9 * top
+
+
+def longest_between(limited: np.ndarray) -> slice:
+    """The longest run of samples that are not ``limited`` (n,).
+
+    >>> longest_between(np.array([False, True, False, False, True]))
+    slice(2, 4, None)
+    """
+    ends = np.flatnonzero(np.diff(limited, prepend=True, append=True))
+    longest = int(np.argmax(ends[1::2] - ends[::2])) if ends.size else 0
+    return slice(int(ends[2 * longest]), int(ends[2 * longest + 1])) if ends.size else slice(0, 0)
+
+
+def acting(command: np.ndarray, wanted: np.ndarray, noise: float) -> tuple[np.ndarray, float | None]:
+    """Samples (n,) in which the limit acts, and the limit; ``wanted`` (n,) is what the law gives without one.
+
+    >>> acting(np.array([1.0, 2.0] + [3.0] * 9), np.array([1.0, 2.0] + [4.0] * 9), 0.01)[1]
+    3.0
+    """
+    beyond = (np.abs(wanted) > np.abs(command) + NOISE * noise) & (np.abs(command) > 0.9 * np.abs(command).max())
+    beyond &= wanted * command > 0.0
+    if beyond.sum() < FEWEST_BEYOND:
+        return np.zeros(command.size, bool), None
+    limit = float(np.median(np.abs(command[beyond])))
+    if robust_deviation(np.abs(command[beyond])) > 3.0 * noise + 1e-3 * limit:
+        return np.zeros(command.size, bool), None
+    return (np.abs(wanted) > limit) & (np.abs(command) > limit - AT * noise), limit
+
+
+def choose(signals: Signals, start: Fit, worth: float, limited: np.ndarray | None = None) -> tuple[Fit, list[Fit]]:
+    """The fit whose rivals are all worse, and these rivals, the best first.
+
+    A filter must be ``worth`` so much of the information criterion, and so must one in the velocity estimator.
+    """
+    found, known = simplify(signals, fit(signals, start, limited), worth, limited), set()
+    while True:
+        others = rivals(signals, found, limited)
+        if not _filters_velocity(found):
+            enough = found.criterion - worth
+            others = [one for one in others if one.criterion < enough or not _filters_velocity(one)]
+        # To leave a filter out may cost something: two laws could take turns.
+        if not others or others[0].criterion >= found.criterion - 1e-6 or _shape(found) in known:
+            return found, others
+        known.add(_shape(found))
+        found = simplify(signals, others[0], worth, limited)
+
+
+def _filters_velocity(found: Fit) -> bool:
+    """Whether its velocity estimator has a number that is sought, as a filter has."""
+    return found.structure.velocity and sought(found.timing.velocity_estimator)
+
+
+def _shape(found: Fit) -> tuple[object, ...]:
+    """A law without its numbers."""
+    estimator = found.timing.velocity_estimator
+    kind = estimator_in_words(estimator) if not sought(estimator) else getattr(estimator, "kind", "")
+    timing = replace(found.timing, velocity_estimator=kind)
+    return found.structure, timing, tuple(one.kind for one in found.filters)
+
+
+def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | None) -> Fit:
+    """Leave out terms and filters one at a time, as long as the information criterion does not mind."""
+    while True:
+        fewer = [(*found.filters[:i], *found.filters[i + 1 :]) for i in range(len(found.filters))]
+        trials = [replace(found, structure=one) for one in found.structure.simpler]
+        trials += [replace(found, filters=filters) for filters in fewer]
+        if _filters_velocity(found):
+            named = [replace(found.timing, velocity_estimator=one) for one in ESTIMATORS]
+            trials += [replace(found, timing=timing) for timing in named]
+        for refit in _in_full(signals, trials, limited, found.criterion + NEARBY + worth):
+            less = len(refit.filters) < len(found.filters) or _filters_velocity(found) > _filters_velocity(refit)
+            allowed = worth if less else 0.0
+            if refit.criterion < found.criterion + allowed:
+                found = refit
+                break
+        else:
+            if found.structure.feeds_forward:
+                return found
+            return replace(found, timing=replace(found.timing, profile=False))
+
+
+def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit]:
+    """The best other fit for each thing that could be otherwise (estimator, delay, form), the best first.
+
+    Of the position loop's samples, and of estimators beside one with a number, the best few: more than one may explain
+    a record as well.
+    """
+    timing = found.timing
+    loops = [replace(found, timing=loop) for loop in _other_loops(found)]
+    kinds: list[Iterable[Fit]] = [
+        [replace(found, timing=replace(timing, delay=delay)) for delay in DELAYS if delay != timing.delay],
+        [replace(found, structure=structure) for structure in _other_forms(found.structure)],
+    ]  # fmt: skip
+    estimated: list[Fit] = []
+    if found.structure.velocity:
+        instead = rivals_of(timing.velocity_estimator, signals.period)
+        estimated = [replace(found, timing=replace(timing, velocity_estimator=one)) for one in instead]
+        if isinstance(timing.velocity_estimator, str):
+            kinds, estimated = [*kinds, estimated], []
+    if found.structure.feeds_forward and not signals.velocity_reference:  # a filter may stand in for either
+        instead = could_pass_for(timing.velocity_estimator)
+        filters = [found.filters, *(found.filters[:i] + found.filters[i + 1 :] for i in range(len(found.filters)))]
+        sources = [(some, one) for some in filters for one in _sources(timing, instead)]
+        kinds.append([replace(found, filters=some, timing=one) for some, one in sources if one != timing])
+    others = [*_in_full(signals, loops, limited), *_in_full(signals, estimated, limited)]
+    best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
+    others += [one for one in best if one is not None]
+    return sorted(others, key=lambda f: f.criterion)
+
+
+def mirrored(signals: Signals, found: Fit, limited: np.ndarray | None) -> Fit | None:
+    """The other minimum of a cascade whose position loop and integral may change places, None where there is none.
+
+    With a reference velocity taken whole and a position loop in every sample it is the very same law.
+    """
+    kp, wi = found.position_rate, found.wi
+    if found.structure.form != "pi" or not kp > 0.0:
+        return None
+    middle = float(np.sqrt(kp * wi))
+    within = (middle, 4.0 * max(kp, wi)) if wi < middle else (0.25 * min(kp, wi), middle)
+    other = fit(signals, found, limited, within)
+    inner = within[0] * 1.02 < other.wi < within[1] / 1.02
+    return other if inner and other.stabilising else None
+
+
+def _in_full(
+    signals: Signals, trials: Iterable[Fit], limited: np.ndarray | None, worst: float = np.inf
+) -> Iterator[Fit]:
+    """The trials that stabilise, fitted, the most promising first; those with an estimate beyond ``worst`` left out."""
+    estimates = [(_first_order(signals, one, limited), i, one) for i, one in enumerate(trials)]
+    for estimate, _, one in sorted(estimates, key=lambda pair: pair[:2])[:FITTED]:
+        if estimate > worst:
+            return
+        refit = fit(signals, one, limited)
+        if refit.stabilising:
+            yield refit
+
+
+def _first_order(signals: Signals, one: Fit, limited: np.ndarray | None) -> float:
+    """Criterion of a fit after one step of its filters, infinite where it would not stabilise."""
+    raw = regressors(signals, one.timing, limited)
+    columns = filtered(one.filters, raw, signals.period)
+    wi, linear, _, cost = solve(compress(signals, columns), one.structure, signals.period)
+    now = replace(one, wi=wi, linear=linear, cost=cost)
+    if not now.stabilising:
+        return np.inf
+    own = estimator_slope(signals, now, limited)
+    if one.filters or own:
+        slopes = np.column_stack([derivatives(one.filters, raw @ now.beta, signals.period), *own])
+        near = (wi / 1.5, wi * 1.5) if wi else None
+        *_, cost = solve(compress(signals, columns, slopes), one.structure, signals.period, near)
+    return replace(now, cost=cost).criterion
+
+
+def _other_forms(structure: Structure) -> list[Structure]:
+    if not structure.velocity:
+        return []
+    if not structure.form:  # an integral of the reference's velocity is its position
+        whole = structure.position and structure.share == 0
+        return [replace(structure, form="ip", position=False, share=1)] if whole else []
+    other = "ip" if structure.form == "pi" else "pi"
+    return [replace(structure, form=other, share=share) for share in dict.fromkeys((structure.share, None))]
+
+
+def _other_loops(found: Fit) -> list[Timing]:
+    """Other rates of the position loop from the first sample on, and other samples for the rate that was found."""
+    if not found.structure.position:
+        return []
+    loops = [(every, 0) for every in EVERY] + [(found.timing.every, phase) for phase in range(1, found.timing.every)]
+    timings = [replace(found.timing, every=every, phase=phase) for every, phase in loops]
+    if found.structure.feeds_forward:  # a rate is not seen from a source that is not the drive's
+        own = found.timing.velocity_estimator
+        estimators = dict.fromkeys((*ESTIMATORS, own))
+        timings = [source for timing in timings for source in _sources(timing, list(estimators))]
+    return [timing for timing in timings if timing != found.timing]
+
+
+def _sources(timing: Timing, estimators: Sequence[AnyEstimator]) -> list[Timing]:
+    """``timing`` with each source of the feed-forward, and each of the ``estimators`` of the velocity."""
+    return [replace(timing, profile=profile, velocity_estimator=e) for profile in (False, True) for e in estimators]
 
 
 @dataclass(frozen=True)
@@ -185,3 +429,23 @@ def _up_to_the_limit(
     if best[1].cost / best[1].samples > WORSE * loose.cost / loose.samples:
         return apart, loose, flat, limit, None
     return best
+
+
+def too_coarse(found: Found) -> float:
+    """The step of the reference where it hides what is fed forward, 0 where it does not."""
+    signals, law = found.signals, found.fit
+    step = 0.0 if signals.velocity_reference or not law.structure.feeds_forward else resolution(signals.reference)
+    if not step:
+        return 0.0
+    difference, profile = (replace(law.timing, profile=source) for source in (False, True))
+    rounding = step * np.random.default_rng(0).uniform(-0.5, 0.5, len(signals))
+    steps = replace(signals, reference=rounding, position=np.zeros(len(signals)))
+    gains = law.beta[FED_FORWARD]
+
+    def rms(table: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((table[:, FED_FORWARD] @ gains)[signals.used] ** 2)))
+
+    noise, left = (rms(regressors(steps, timing)) for timing in (difference, law.timing))
+    apart = rms(regressors(signals, profile) - regressors(signals, difference))
+    own = max(apart**2 - noise**2, 0.0) ** 0.5
+    return step if noise > LOUD * own and left / ALIKE < found.rms < ALIKE * left else 0.0

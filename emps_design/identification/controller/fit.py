@@ -2,19 +2,46 @@
 
 The regressors of a record are compressed once to a triangle (QR), on which every structure is tried without touching
 the samples again. The filters' numbers are found by Gauss and Newton: their derivatives are further columns.
+
+Filters of the command, in discrete time: coefficients by the bilinear transform without prewarping.
+
+A filter is a kind and the numbers that are sought: logarithms, so that no step leaves what a filter can be; the depth
+of a notch is taken as it is, for it may be 0.
+
+What the noise of a command is like: its prediction error filter, and its deviation, deaf to a few bursts.
+
+From a fit to numbers by name with their standard deviations.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
 
-from emps_design.identification.controller.estimators import STEP, at_step, sought
-from emps_design.identification.controller.filters import Filter, derivatives, filtered, moved
-from emps_design.identification.controller.regressors import COLUMNS, Signals, Timing, regressors
-from emps_design.identification.controller.structures import Structure
+from emps_design.identification.controller.regressors import (
+    COLUMNS,
+    STEP,
+    Signals,
+    Structure,
+    Timing,
+    at_step,
+    regressors,
+    sought,
+)
+from emps_design.identification.statistics import hac_covariance
+from emps_design.laws.estimators import NUMBERS, Estimator
+
+# What a filter that is sought can be. Beyond half the sampling frequency a low-pass does nothing that shows.
+CORNER = {"lowpass": (1e-4, 0.6), "notch": (1e-4, 0.48)}  # of the sampling frequency
+DAMPING, DEPTH = (0.01, 2.0), (-0.3, 1.0)  # a depth below 0 is no notch: it is noise about 0, and said to be 0
+FILTER_STEP = 1e-4  # of a sought number, for its derivative
 
 SCAN, FINE_SCAN = 41, 21  # integral rates tried, from one that does nothing on to a third of the sampling frequency
 NEAR = 1.5  # times the last integral rate, while filters move
@@ -23,6 +50,125 @@ LARGEST = 0.5  # change of a filter's number in one round
 SHORTER, SHORTEST = 0.3, 1e-3  # share of a step that is tried where the whole one gained nothing
 CONVERGED = 1e-9  # of the cost
 RANK = 1e-10  # of the largest singular value: columns that are smaller tell nothing
+
+ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # of the autoregressive model, by the information criterion
+ROWS_PER_ORDER = 50
+
+DIFFERENCE = 1e-6  # of a sought number
+
+
+@dataclass(frozen=True)
+class Filter:
+    """One filter: ``kind`` "lowpass" (log frequency) or "notch" (log frequency, log damping, depth); in Hz."""
+
+    kind: str
+    numbers: tuple[float, ...]
+
+    @classmethod
+    def lowpass(cls, frequency: float) -> Filter:
+        """The low-pass w0/(s + w0) of a ``frequency`` [Hz]."""
+        return cls("lowpass", (float(np.log(frequency)),))
+
+    @classmethod
+    def notch(cls, frequency: float, damping: float, depth: float) -> Filter:
+        """The notch of a ``frequency`` [Hz], a ``damping`` and a ``depth``, its gain at that frequency."""
+        return cls("notch", (float(np.log(frequency)), float(np.log(damping)), float(depth)))
+
+    def within(self, period: float) -> tuple[tuple[float, float, float], ...]:
+        """Each sought number, with the bounds of what it can be at this ``period`` [s]."""
+        return tuple((x, low, high) for x, (low, high) in zip(self.numbers, _bounds(self.kind, period), strict=False))
+
+    @property
+    def frequency(self) -> float:
+        """Corner or centre frequency [Hz]."""
+        return float(np.exp(self.numbers[0]))
+
+    def table(self) -> dict[str, Any]:
+        """The filter as in an axis file."""
+        return {"kind": self.kind, **dict(zip(self.names, self.values, strict=True))}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its keys in an axis file."""
+        return ("frequency", "damping", "depth")[: len(self.numbers)]
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Its numbers in an axis file."""
+        return tuple(float(np.exp(x)) if i < 2 else max(x, 0.0) for i, x in enumerate(self.numbers))
+
+    def coefficients(self, period: float) -> tuple[np.ndarray, np.ndarray]:
+        """Numerator and denominator in z^-1.
+
+        >>> b, a = Filter.lowpass(100.0).coefficients(1e-3)
+        >>> float((b.sum() / a.sum()).round(12))
+        1.0
+        """
+        half = np.pi * self.frequency * period  # w0 T / 2
+        if self.kind == "lowpass":
+            return np.array([half, half]), np.array([1.0 + half, half - 1.0])
+        damping, depth = float(np.exp(self.numbers[1])), self.numbers[2]
+        middle, width = 2.0 * (half * half - 1.0), 2.0 * damping * half
+        top = np.array([1.0 + depth * width + half * half, middle, 1.0 - depth * width + half * half])
+        return top, np.array([1.0 + width + half * half, middle, 1.0 - width + half * half])
+
+    def slopes(self, period: float) -> list[tuple[np.ndarray, np.ndarray]]:
+        """How numerator and denominator in z^-1 change with each sought number.
+
+        >>> low = Filter.lowpass(100.0)
+        >>> (numerator, denominator), = low.slopes(1e-3)
+        >>> further = Filter("lowpass", (low.numbers[0] + 1e-6,)).coefficients(1e-3)
+        >>> bool(np.allclose((further[1] - low.coefficients(1e-3)[1]) / 1e-6, denominator, rtol=1e-5))
+        True
+        """
+        half = np.pi * self.frequency * period
+        if self.kind == "lowpass":
+            return [(np.array([half, half]), np.array([half, half]))]
+        depth, width = self.numbers[2], 2.0 * float(np.exp(self.numbers[1])) * half
+        frequency, damping = 2.0 * half * half * np.array([1.0, 2.0, 1.0]), width * np.array([1.0, 0.0, -1.0])
+        return [
+            (frequency + depth * damping, frequency + damping),
+            (depth * damping, damping),
+            (damping, np.zeros(3)),
+        ]
+
+
+@cache
+def _bounds(kind: str, period: float) -> tuple[tuple[float, float], ...]:
+    """What the sought numbers of a filter can be at this ``period`` [s]."""
+    lowest, highest = (float(np.log(share / period)) for share in CORNER[kind])
+    return (lowest, highest), (float(np.log(DAMPING[0])), float(np.log(DAMPING[1]))), DEPTH
+
+
+def moved(filters: tuple[Filter, ...], steps: np.ndarray, period: float) -> tuple[Filter, ...]:
+    """The ``filters`` with their numbers changed by ``steps``, kept within what a filter can be at this ``period``."""
+    left, done = iter(steps), []
+    for one in filters:
+        numbers = [min(max(x + next(left), low), high) for x, low, high in one.within(period)]
+        done.append(Filter(one.kind, tuple(map(float, numbers))))
+    return tuple(done)
+
+
+def filtered(filters: tuple[Filter, ...], columns: np.ndarray, period: float) -> np.ndarray:
+    """``columns`` (n, ...) through the ``filters`` in order, which stood still at the first row before it."""
+    first = columns[:1]
+    rest = columns - first
+    for one in filters:
+        rest = lfilter(*one.coefficients(period), rest, axis=0)
+    return rest + first
+
+
+def derivatives(filters: tuple[Filter, ...], x: np.ndarray, period: float) -> np.ndarray:
+    """How ``x`` (n,) behind the filters changes with each sought number, (n, n_numbers)."""
+    columns = []
+    for i, one in enumerate(filters):
+        for j, number in enumerate(one.numbers):
+            ends = []
+            for step in (FILTER_STEP, -FILTER_STEP):
+                moved = Filter(one.kind, (*one.numbers[:j], number + step, *one.numbers[j + 1 :]))
+                ends.append(filtered((*filters[:i], moved, *filters[i + 1 :]), x, period))
+            columns.append((ends[0] - ends[1]) / (2 * FILTER_STEP))
+    return np.column_stack(columns) if columns else np.zeros((x.size, 0))
 
 
 @dataclass(frozen=True)
@@ -207,3 +353,126 @@ def all_moved(
         estimator = at_step(timing.velocity_estimator, float(steps[count]), period)
         timing = replace(timing, velocity_estimator=estimator)
     return moved(filters, steps, period), timing
+
+
+def whitening_filter(residual: np.ndarray, used: np.ndarray) -> tuple[float, ...]:
+    """Coefficients in z^-1 of the filter that makes ``residual`` (n,) white, of the order that pays; (1,) for white.
+
+    >>> white = np.random.default_rng(1).standard_normal(5000)
+    >>> whitening_filter(white, np.ones(5000, bool))
+    (1.0,)
+    """
+    e = np.where(used, residual, 0.0)
+    n = int(used.sum())
+    longest = min(max(ORDERS), n // ROWS_PER_ORDER)
+    covariance = np.array([e[: len(e) - lag] @ e[lag:] for lag in range(longest + 1)]) / n
+    if not covariance[0] > 0.0:
+        return (1.0,)
+    found, best = (1.0,), n * np.log(covariance[0])
+    for order in (order for order in ORDERS if order <= longest):
+        phi = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
+        left = max(covariance[0] - phi @ covariance[1 : order + 1], 1e-12 * covariance[0])
+        criterion = n * np.log(left) + order * np.log(n)
+        if criterion < best:
+            found, best = (1.0, *(-phi).tolist()), criterion
+    return found
+
+
+def resolution(x: np.ndarray) -> float:
+    """Step of which all values of ``x`` are multiples, 0 where there is none.
+
+    >>> resolution(np.array([0.5, -1.0, 2.5])), resolution(np.array([0.0, 1.0, 1.3]))
+    (0.5, 0.0)
+    """
+    values = np.unique(np.append(x, 0.0))
+    step = float(np.min(np.diff(values), initial=np.inf, where=np.diff(values) > 1e-9 * np.ptp(values)))
+    share = values / step
+    return step if np.all(np.abs(share - np.round(share)) < 0.01) else 0.0
+
+
+def usable_behind(used: np.ndarray, whitening: tuple[float, ...]) -> np.ndarray:
+    """Samples (n,) for which the filter looks back on nothing that does not count."""
+    return np.convolve(~used, np.ones(len(whitening)))[: used.size] < 0.5
+
+
+def robust_deviation(x: np.ndarray) -> float:
+    """Standard deviation of ``x`` from the median of its size."""
+    return 1.4826 * float(np.median(np.abs(x - np.median(x))))
+
+
+def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.ndarray:
+    """Covariance of the linear coefficients, the integral rate and the numbers of filters and estimator.
+
+    Of least squares behind the whitening filter, so for noise that is correlated as the residual is. Irregular
+    samples have none: the residual's own correlation takes its place, and a command in steps may be cut off instead of
+    rounded, half a step towards zero.
+    """
+    raw, period = regressors(signals, found.timing, limited), signals.period
+    columns = raw @ found.structure.combination(found.wi)
+    if found.structure.form:
+        step = DIFFERENCE * found.wi
+        ends = [found.structure.combination(found.wi + sign * step) for sign in (1.0, -1.0)]
+        columns = np.column_stack([columns, raw @ ((ends[0] - ends[1]) / (2.0 * step)) @ found.linear])
+    columns = filtered(found.filters, columns, period)
+    columns = np.column_stack([columns, derivatives(found.filters, raw @ found.beta, period)])
+    columns = np.column_stack([columns, *estimator_slope(signals, found, limited)])
+    columns = signals.counted(columns)
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    if signals.times is not None:
+        left = signals.counted(signals.command - filtered(found.filters, raw @ found.beta, period))
+        lag = int(4 * (len(left) / 100) ** (2 / 9))  # Newey and West
+        cut = signals.counted(0.5 * resolution(signals.command) * np.sign(signals.command))
+        shift = np.linalg.lstsq(columns / scale, cut)[0]
+        return (hac_covariance(columns / scale, left, lag) + np.outer(shift, shift)) / np.outer(scale, scale)
+    triangle = np.linalg.qr(columns / scale, mode="r")
+    inverse = np.linalg.pinv(triangle) / scale[:, None]
+    return found.cost / max(found.samples - found.size, 1) * inverse @ inverse.T
+
+
+def with_deviations(
+    found: Fit, spread: np.ndarray, numbers: Callable[[Fit], dict[str, float]]
+) -> dict[str, tuple[float, float]]:
+    """Each of the ``numbers`` of a fit with its deviation, from the ``spread`` of :func:`covariance`."""
+    values = numbers(found)
+    centre = _packed(found)
+    slopes = []
+    for i, at in enumerate(centre):
+        step = DIFFERENCE * max(abs(at), 1e-9 * float(np.max(np.abs(centre))))
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = centre.copy()
+            moved[i] += sign * step
+            ends.append(numbers(_unpacked(found, moved)))
+        slopes.append([(ends[0][name] - ends[1][name]) / (2.0 * step) for name in values])
+    table = np.array(slopes).T
+    variance = np.einsum("ij,jk,ik->i", table, spread, table)
+    deviations = np.sqrt(np.maximum(variance, 0.0)).tolist()
+    return {name: (value, std) for (name, value), std in zip(values.items(), deviations, strict=True)}
+
+
+def _packed(found: Fit) -> np.ndarray:
+    rate = [found.wi] if found.structure.form else []
+    estimator = found.timing.velocity_estimator
+    own = [float(np.log(estimator.number))] if _is_sought(found) and not isinstance(estimator, str) else []
+    return np.concatenate([found.linear, rate, *(one.numbers for one in found.filters), own])
+
+
+def _unpacked(found: Fit, x: np.ndarray) -> Fit:
+    linear, rest = x[: found.linear.size], x[found.linear.size :]
+    change: dict[str, Any] = {"linear": linear}
+    if found.structure.form:
+        change["wi"], rest = float(rest[0]), rest[1:]
+    filters = []
+    for one in found.filters:
+        filters.append(Filter(one.kind, tuple(rest[: len(one.numbers)].tolist())))
+        rest = rest[len(one.numbers) :]
+    estimator = found.timing.velocity_estimator
+    if _is_sought(found) and not isinstance(estimator, str):
+        own = {"kind": estimator.kind, NUMBERS[estimator.kind]: float(np.exp(rest[0]))}
+        change["timing"] = replace(found.timing, velocity_estimator=Estimator.model_validate(own))
+    return replace(found, **change, filters=tuple(filters))
+
+
+def _is_sought(found: Fit) -> bool:
+    return found.structure.velocity and sought(found.timing.velocity_estimator)

@@ -3,6 +3,11 @@
 A search over band spectra finds timing, form and filters; least squares on the samples refines them, first as if noise
 were white, then behind a filter that makes the residual so; terms that are zero are left out; what could be otherwise
 is fitted too, and named where it explains the record as well. See docs/theory/controller_law.md.
+
+Steps that something adds to a controller's output: pulses of an instrument, a switch. They are taken off.
+
+Whatever stands still between its steps has no first difference but there: a law that is fitted to differences, without
+those that stick out, finds where it steps. Between these the command may carry a constant of its own.
 """
 
 from __future__ import annotations
@@ -15,26 +20,44 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.identification.controller.best_law import AS_GOOD, HOLDS, Found, best_law
-from emps_design.identification.controller.coarse_reference import too_coarse
-from emps_design.identification.controller.deviations import covariance, with_deviations
-from emps_design.identification.controller.fit import Fit
-from emps_design.identification.controller.law_estimate import AMBIGUOUS, NOT_TOLD, TOLD, LawEstimate
-from emps_design.identification.controller.regressors import AHEAD, WHOLE_LOOPS, Signals, joined
-from emps_design.identification.controller.steps import without_steps
-from emps_design.identification.controller.structures import PROPORTIONAL
-from emps_design.identification.controller.tables import deviations_of, kind_of, numbers_of, table_of
-from emps_design.identification.controller.told import TIMES, disagreement, halves, times_allowed
+from emps_design.identification.controller.best_law import AS_GOOD, HOLDS, Found, best_law, too_coarse
+from emps_design.identification.controller.fit import Fit, covariance, robust_deviation, with_deviations
+from emps_design.identification.controller.regressors import (
+    AHEAD,
+    ESTIMATORS,
+    PROPORTIONAL,
+    WHOLE_LOOPS,
+    Signals,
+    Timing,
+    joined,
+    regressors,
+)
 from emps_design.identification.controller.wording import (
+    AMBIGUOUS,
+    NOT_TOLD,
+    TIMES,
+    TOLD,
+    LawEstimate,
     described,
+    deviations_of,
+    disagreement,
+    halves,
     how_far_apart,
     in_parts,
+    kind_of,
     notes_of,
+    numbers_of,
     short,
+    table_of,
+    times_allowed,
     too_much_left,
     unlike,
 )
 from emps_design.records import Record
+
+ROUNDS = 12
+OUTLYING = 8.0  # deviations of the typical difference
+RAREST, MOST = 2, 0.02  # steps; share of the samples: more is no matter of steps
 
 START_UP = 0.02  # s, before which what the controller remembers is not known
 FEWEST = 200  # samples
@@ -48,6 +71,45 @@ SURELY_APART = 3.0  # deviations
 ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
+
+
+def without_steps(signals: Signals) -> tuple[Signals, np.ndarray] | None:
+    """The signals with such steps taken off the command, and these (n,); None where there are none."""
+    tables = [regressors(signals, Timing(velocity_estimator=name)) for name in ESTIMATORS]
+    outlying = min((_outlying(signals, table) for table in tables), key=lambda pair: pair[0])[1]
+    if not RAREST <= outlying.sum() <= MOST * len(signals):
+        return None
+    used = signals.used & ~outlying
+    levels = np.cumsum(outlying) + (0 if signals.levels is None else signals.levels)
+    stretches = replace(signals, used=used, levels=levels, records=False)
+    fits = [_within(stretches, table) for table in tables]
+    left = min(fits, key=lambda left: float(np.sum(stretches.counted(left) ** 2)))
+    known = levels[used]
+    means = np.bincount(known, left[used]) / np.maximum(np.bincount(known), 1)
+    # A stretch without a sample that counts goes on as the one before it.
+    steps = means[np.unique(known)[np.searchsorted(np.unique(known), levels, "right") - 1]]
+    return replace(stretches, command=signals.command - steps), steps
+
+
+def _outlying(signals: Signals, table: np.ndarray) -> tuple[float, np.ndarray]:
+    """Typical difference that a law without memory leaves, and the samples (n,) whose difference sticks out."""
+    columns, target = np.diff(table, axis=0), np.diff(signals.command)
+    scale = np.linalg.norm(columns, axis=0)
+    columns = columns[:, scale > 0.0] / scale[scale > 0.0]
+    whole = signals.used[1:] & signals.used[:-1]
+    kept, left = whole, target
+    for _ in range(ROUNDS):
+        left = target - columns @ np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
+        kept = whole & (np.abs(left) < OUTLYING * robust_deviation(left[whole]))
+    return robust_deviation(left[whole]), np.concatenate([[False], whole & ~kept])
+
+
+def _within(signals: Signals, table: np.ndarray) -> np.ndarray:
+    """What is left (n,) of the command by a law without filters, with a constant in each stretch."""
+    columns, target = signals.counted(table), signals.counted(signals.command)
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale < 1e-9 * scale.max()] = np.inf
+    return signals.command - table @ (np.linalg.lstsq(columns / scale, target, rcond=1e-10)[0] / scale)
 
 
 def identify_law(records: Record | Sequence[Record], command_unit: str = "V") -> LawEstimate:

@@ -10,19 +10,41 @@ gains (``data``: the difference equations of :mod:`emps_design.laws.library.casc
     force_sum     sum of a measured external force times the period       offset            1
 
 The sums belong to the integral part. It stands still while the limit acts, and so do they.
+
+The velocity estimators that are tried, and the number of one that is sought: its logarithm, within bounds.
+
+Which terms a controller has, and how its command is linear in what is left once its integral time is known.
+
+With ``wi = 1/ti`` and the gain K of the velocity loop, the command before the filters is, see :mod:`.regressors`,
+
+    pi      K kp (error + wi error_sum) + K share (slip + wi slip_sum) - K (1 - share) (velocity + wi velocity_sum)
+    ip      K kp wi error_sum + K share (wi slip_sum - velocity) - K (1 - share) (velocity + wi velocity_sum)
+
+and the feed-forward; so for each ``wi`` it is linear in K kp, K share, K (1 - share), and the rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
-from emps_design.identification.controller.estimators import UNUSUAL, AnyEstimator
-from emps_design.laws.estimators import polynomials
+from emps_design.laws.estimators import MOST_POINTS, NUMBERS, Estimator, polynomials
+
+ESTIMATORS = ("backward", "two_tap")
+POINTS = (4, 5, 6, 8, 11, 16)  # of slopes that are tried first; 2 and 3 are the named ones
+SHARES = np.geomspace(0.006, 0.25, 5)  # of the sampling frequency: corners that are tried first
+LOOP = 2.0  # times the corner of a filter: a tracking loop that is late by as much
+LEAST_LAG = 0.3  # samples: filters that are faster are none
+WITHIN = {"filtered": (1e-4, 0.45), "tracking": (6e-4, 3.0)}  # number times the period
+STEP = 1e-4  # of a sought number, for its derivative
+UNUSUAL = 2.0 * float(np.log(len(POINTS) + 2 * len(SHARES)))  # of the criterion: half of all drives take a named one
+
+AnyEstimator = str | Estimator
 
 EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
 DELAYS = (0, 1, 2)  # samples
@@ -44,6 +66,82 @@ COLUMNS = (
     "offset",
 )
 SAMPLED = 2  # of them, the first, depend on the samples of the position loop
+
+PLACE = {name: i for i, name in enumerate(COLUMNS)}
+
+
+@cache
+def with_numbers(period: float) -> tuple[Estimator, ...]:
+    """Estimators with a number to start from, at a sampling ``period`` [s].
+
+    >>> [one.number for one in with_numbers(1e-3)][:3]
+    [4.0, 5.0, 6.0]
+    """
+    corners = [float(share) / period for share in SHARES]
+    found = [Estimator(kind="slope", points=n) for n in POINTS]
+    found += [Estimator(kind="filtered", frequency=corner) for corner in corners]
+    found += [Estimator(kind="tracking", bandwidth=LOOP * 2.0 * float(np.pi) * corner) for corner in corners]
+    return tuple(found)
+
+
+def lag(estimator: AnyEstimator, period: float) -> float:
+    """Samples that a steady change comes late by, beside those of the backward difference.
+
+    >>> lag("two_tap", 1e-3), round(lag(Estimator(kind="slope", points=4), 1e-3), 9)
+    (0.5, 1.0)
+    """
+    late = [float(np.arange(len(one)) @ np.array(one)) / sum(one) for one in polynomials(estimator, period)]
+    return late[0] - late[1]
+
+
+def rivals_of(own: AnyEstimator, period: float) -> list[AnyEstimator]:
+    """What could pass for the estimator ``own``: those with a name, and of each other kind what is as late."""
+    late = max(lag(own, period), LEAST_LAG)
+    points = round(2.0 * late) + 2
+    found: list[AnyEstimator] = [*ESTIMATORS]
+    found += [Estimator(kind="slope", points=n) for n in range(points - 1, points + 2) if 4 <= n <= MOST_POINTS]
+    found.append(Estimator(kind="filtered", frequency=1.0 / (2.0 * float(np.pi) * late * period)))
+    found.append(Estimator(kind="tracking", bandwidth=LOOP / (late * period)))
+    kind = own.kind if isinstance(own, Estimator) and sought(own) else ""  # whose number is found by the fit
+    return [one for one in found if one != own and not (isinstance(one, Estimator) and one.kind == kind)]
+
+
+def sought(estimator: AnyEstimator) -> bool:
+    """Whether an estimator has a number that is sought: a corner or a bandwidth, no count of points."""
+    return isinstance(estimator, Estimator) and estimator.kind in WITHIN
+
+
+def at_step(estimator: AnyEstimator, step: float, period: float) -> AnyEstimator:
+    """``estimator`` with the logarithm of its number changed by ``step``, kept within what it can be."""
+    assert isinstance(estimator, Estimator)
+    low, high = (bound / period for bound in WITHIN[estimator.kind])
+    number = float(np.clip(estimator.number * np.exp(step), low, high))
+    return Estimator.model_validate({"kind": estimator.kind, NUMBERS[estimator.kind]: number})
+
+
+def beside(estimator: AnyEstimator, period: float, ratio: float) -> tuple[AnyEstimator, ...]:
+    """The estimators next to one with a number: a point more or less, or the number times and over ``ratio``."""
+    if not isinstance(estimator, Estimator):
+        return ()
+    if estimator.kind == "slope":
+        counts = (int(estimator.number) + more for more in (-1, 1))
+        return tuple(Estimator(kind="slope", points=n) for n in counts if 4 <= n <= MOST_POINTS)
+    step = float(np.log(ratio))
+    return tuple(at_step(estimator, sign * step, period) for sign in (-1.0, 1.0))
+
+
+def could_pass_for(own: AnyEstimator) -> list[AnyEstimator]:
+    """The named estimators, ``own``, and a slope of a point more or less: for a reference half a period late."""
+    more = beside(own, 1.0, 1.0) if not sought(own) else ()
+    return list(dict.fromkeys((*ESTIMATORS, own, *more)))
+
+
+def table_of(estimator: AnyEstimator, number: float | None = None) -> str | dict[str, object]:
+    """The estimator as in an axis file, with another ``number`` where one is given."""
+    if isinstance(estimator, str):
+        return estimator
+    table = estimator.model_dump(exclude_none=True)
+    return table if number is None else {**table, NUMBERS[estimator.kind]: number}
 
 
 @dataclass(frozen=True)
@@ -229,3 +327,109 @@ def _held_sum(x: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Sum of ``x`` up to each sample, that keeps nothing of samples that are not ``free``."""
     kept = np.cumsum(np.where(free, x, 0.0))
     return np.where(free, kept, kept + x)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The terms of a controller.
+
+    ``form`` "pi" or "ip", or "" without integral; ``position`` whether a position loop is there; ``share`` of the
+    reference's velocity 0 or 1, or None where it is a number between; ``velocity`` whether velocity is fed back at
+    all; ``acceleration``, ``coulomb``, ``force``, ``offset`` whether these terms are there; ``skew`` whether the
+    position was recorded at another instant than the one that the command follows: next to a law without velocity it
+    shows.
+    """
+
+    form: str = "pi"
+    position: bool = True
+    share: int | None = None
+    velocity: bool = True
+    acceleration: bool = True
+    coulomb: bool = True
+    force: bool = False
+    offset: bool = True
+    skew: bool = False
+
+    @property
+    def linear(self) -> tuple[str, ...]:
+        """The linear coefficients, in the order of :meth:`combination`."""
+        names = ["position"] if self.position else []
+        if self.velocity:
+            names += {None: ["following", "damping"], 1: ["following"], 0: ["damping"]}[self.share]
+        names += [name for name in ("acceleration", "coulomb", "force", "offset", "skew") if getattr(self, name)]
+        return tuple(names)
+
+    @property
+    def feeds_forward(self) -> bool:
+        """Whether the velocity of the reference is fed forward to a velocity loop within a position loop."""
+        return self.position and self.velocity and self.share != 0
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has, without those of filters."""
+        return len(self.linear) + bool(self.form)
+
+    def combination(self, wi: float | np.ndarray) -> np.ndarray:
+        """What takes the regressors to the columns of ``linear``, (..., len(COLUMNS), n_linear) for ``wi`` (...)."""
+        constant, integral = _combinations(self)
+        return constant + np.multiply.outer(wi, integral)
+
+    def stabilising(self, linear: np.ndarray) -> np.ndarray:
+        """Whether these coefficients (..., n_linear) feed position and velocity back with the sign of a controller."""
+        part = dict(zip(self.linear, np.moveaxis(linear, -1, 0), strict=True))
+        velocity = part.get("following", 0.0) + part.get("damping", 0.0)
+        return (velocity > 0.0 if self.velocity else True) & (part.get("position", 1.0) > 0.0)
+
+    @property
+    def simpler(self) -> tuple[Structure, ...]:
+        """The structures with one number less."""
+        found = []
+        if self.acceleration:
+            found.append(replace(self, acceleration=False))
+        if self.coulomb:
+            found.append(replace(self, coulomb=False))
+        if self.force:
+            found.append(replace(self, force=False))
+        if self.offset:
+            found.append(replace(self, offset=False))
+        if self.skew:
+            found.append(replace(self, skew=False))
+        if self.form == "pi":
+            found.append(replace(self, form=""))
+        if self.velocity and self.share is None:
+            found += [replace(self, share=0), replace(self, share=1)]
+        if self.position and self.velocity and (self.form or self.share != 0):
+            found.append(replace(self, position=False))
+        if self.position and self.velocity and not self.form and self.share is not None:
+            found.append(replace(self, velocity=False, share=0))
+        return tuple(found)
+
+
+@cache
+def _combinations(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """The part of the combination that is the same for every ``wi``, and the one in proportion to it."""
+    proportional = float(structure.form != "ip")
+    constant = {
+        "position": {"error": proportional},
+        "following": {"slip": proportional, "velocity": proportional - 1.0},
+        "damping": {"velocity": -1.0},
+        "acceleration": {"acceleration": 1.0},
+        "coulomb": {"sign": 1.0},
+        "offset": {"offset": 1.0},
+        "skew": {"velocity": 1.0},
+    }
+    integral = {
+        "position": {"error_sum": 1.0},
+        "following": {"slip_sum": 1.0},
+        "damping": {"velocity_sum": -1.0},
+        "force": {"force_sum": 1.0},
+    }
+    tables = np.zeros((2, len(COLUMNS), len(structure.linear)))
+    for table, terms in zip(tables, (constant, integral), strict=True):
+        for column, name in enumerate(structure.linear):
+            for regressor, factor in terms.get(name, {}).items():
+                table[PLACE[regressor], column] = factor
+    return tables[0], tables[1]
+
+
+PROPORTIONAL = Structure(form="", share=0, velocity=False, acceleration=False, coulomb=False)

@@ -1,25 +1,251 @@
-"""What is said of a law beside its table: the structures that were compared, and what no table holds."""
+"""What is said of a law beside its table: the structures that were compared, and what no table holds.
+
+What a record tells of the controller that made it.
+
+Whether a law is told: what it leaves of the command against what the record allows, and the same numbers in parts.
+
+What a law leaves is the record's own if nothing that the controller saw explains it: noise and rounding know nothing of
+the motion, while a wrong structure leaves a function of reference and position. So what is left is regressed, behind
+the filter that makes it white, on what the controller saw now and a few samples before; what remains after that is what
+the record allows. A law that leaves several times as much is near the true one at best. And a law is the same in every
+part of its record: fitted to one part alone, its numbers agree within their deviations with those of another part.
+
+A fit as the ``[controller]`` table of an axis file: kind, numbers by name, and what no kind of law here has.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from emps_design.identification.controller.best_law import AS_GOOD, Found
-from emps_design.identification.controller.fit import Fit
-from emps_design.identification.controller.law_estimate import LawEstimate
-from emps_design.identification.controller.told import Disagreement
+from emps_design.identification.controller.best_law import AS_GOOD, Found, command_of
+from emps_design.identification.controller.fit import Fit, covariance, fit, with_deviations
+from emps_design.identification.controller.regressors import Signals, regressors, sought
+from emps_design.identification.controller.regressors import table_of as estimator_table
 from emps_design.laws import leaves
-from emps_design.laws.estimators import estimator_in_words
+from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
 from emps_design.records import Record
+
+TOLD, AMBIGUOUS, NOT_TOLD = "told", "ambiguous", "not told"
+
+TIMES = 2.0  # as much left as the record allows: beyond, the law is not the record's
+PAST = 8  # increments of the position that what is left may be a function of
+PAST_REFERENCE = 3  # of the reference: more would explain the rounding of the reference itself
+APART = 6.0  # deviations between the numbers of two parts
+FEWEST = 200  # samples of a part
+ROUNDING = 1e-12  # of the command, or of a number: what terms added in another order may change
+
+Numbers = dict[str, tuple[float, float]]
 
 DISTINCT = 3.0  # deviations, those of two laws added, beyond which their numbers are two
 # Twice the logarithm of the odds of the true law against one D^0.5 deviations apart is normal about D, with variance
 # 4 D: from here on it passes what counts as alike in 39 of 40 records.
 SURE = 2.0 + (4.0 + AS_GOOD) ** 0.5
+
+AHEAD = ("velocity", "acceleration", "coulomb")  # the feed-forward, in the order of the table
+
+
+@dataclass(frozen=True)
+class LawEstimate:
+    """The controller that made a record, as the ``[controller]`` table of an axis file, or why it cannot be told.
+
+    ``verdict`` is "told"; "ambiguous", where ``equivalents`` explain the record as well; or "not told", with the
+    ``reason`` and no ``controller``: ``closest`` is then the law that came nearest, if one came near, and is not the
+    machine's. ``std`` has the standard deviations in the shape of the table.
+    ``residual_rms`` [command unit] is what the law leaves of the command, ``residual_share`` the same over the
+    command's standard deviation, and ``allowed_rms`` what the record's own noise and resolution would leave.
+    ``limit`` [command unit] is None where it never acts; ``delay`` [samples] lies between a measurement and its
+    command; ``tried`` has the structures that were compared, with what each leaves; ``notes`` say what a table cannot
+    hold.
+    """
+
+    record: str
+    verdict: str
+    reason: str
+    controller: dict[str, Any] | None
+    std: dict[str, Any]
+    residual_rms: float | None
+    residual_share: float | None
+    command_unit: str
+    delay: int = 0
+    limit: float | None = None
+    limited_samples: int = 0
+    equivalents: tuple[dict[str, Any], ...] = ()
+    tried: tuple[dict[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
+    closest: dict[str, Any] | None = None
+    allowed_rms: float | None = None
+    warnings: tuple[str, ...] = field(default=())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain data."""
+        return {
+            "record": self.record,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "controller": self.controller,
+            "std": self.std,
+            "closest": self.closest,
+            "residual": {
+                "rms": self.residual_rms,
+                "share": self.residual_share,
+                "allowed": self.allowed_rms,
+                "unit": self.command_unit,
+            },
+            "delay": self.delay,
+            "limit": {"value": self.limit, "samples": self.limited_samples, "unit": self.command_unit},
+            "equivalents": list(self.equivalents),
+            "tried": list(self.tried),
+            "notes": list(self.notes),
+            "warnings": list(self.warnings),
+        }
+
+    @property
+    def in_words(self) -> str:
+        """The controller in one line, its numbers to five digits; "" where it is not told.
+
+        >>> LawEstimate("r", TOLD, "", {"kind": "p", "kp": 2.0000001}, {}, 0.0, 0.0, "V").in_words
+        'p with kp = 2'
+        """
+        return "" if self.controller is None else self._said(self.controller)
+
+    @property
+    def closest_in_words(self) -> str:
+        """The law that came nearest, in one line likewise; "" where none did, or the controller is told.
+
+        >>> LawEstimate("r", NOT_TOLD, "", None, {}, 0.0, 0.0, "V", closest={"kind": "p", "kp": 2.0}).closest_in_words
+        'p with kp = 2'
+        """
+        return "" if self.closest is None else self._said(self.closest)
+
+    @staticmethod
+    def _said(table: dict[str, Any]) -> str:
+        kind, *rest = table.items()
+        return f"{kind[1]} with {', '.join(f'{name} = {_inline(value, 5)}' for name, value in rest)}"
+
+    @property
+    def numbers(self) -> list[tuple[str, float, float]]:
+        """The numbers of the table that have a deviation: place in it, value and standard deviation.
+
+        >>> table, std = {"kind": "cascade", "velocity": {"kp": 2.0}}, {"velocity": {"kp": 0.1}}
+        >>> LawEstimate("r", TOLD, "", table, std, 0.0, 0.0, "V").numbers
+        [('velocity.kp', 2.0, 0.1)]
+        """
+        return [] if self.controller is None else _rows(self.controller, self.std)
+
+    def to_toml(self) -> str:
+        """The ``[controller]`` table alone, ready to paste into an axis file; raises ``ValueError`` where none is told.
+
+        >>> LawEstimate("r", TOLD, "", {"kind": "p", "kp": 2.0}, {}, 0.0, 0.0, "V").to_toml()
+        '[controller]\\nkind = "p"\\nkp = 2.0\\n'
+        """
+        if self.controller is None:
+            raise ValueError(f"{self.record}: {self.reason}")
+        return "[controller]\n" + "".join(f"{name} = {_inline(value)}\n" for name, value in self.controller.items())
+
+
+def _rows(table: Any, std: Any, name: str = "") -> list[tuple[str, float, float]]:
+    """The numbers of a ``table`` that have one in ``std``, by their place in it."""
+    if isinstance(std, dict):
+        pairs = [(f"{name}.{key}" if name else key, table[key], one) for key, one in std.items()]
+    elif isinstance(std, list):
+        pairs = [(f"{name}[{i}]", table[i], one) for i, one in enumerate(std)]
+    else:
+        return [(name, table, std)]
+    return [row for key, value, one in pairs for row in _rows(value, one, key)]
+
+
+def _inline(value: Any, digits: int = 0) -> str:
+    """A value on one line of TOML, numbers to so many ``digits``, 0: as they are."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {_inline(one, digits)}" for name, one in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_inline(one, digits) for one in value) + "]"
+    if isinstance(value, str):
+        return f'"{value}"'
+    return f"{value:.{digits}g}" if digits else repr(value)
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """A number that two parts of the records tell otherwise: its name, and value and deviation in each."""
+
+    name: str
+    one: tuple[float, float]
+    other: tuple[float, float]
+    parts: tuple[int, int]
+
+    @property
+    def apart(self) -> float:
+        """Deviations between the two."""
+        spread = float(np.hypot(self.one[1], self.other[1]))
+        return abs(self.one[0] - self.other[0]) / max(spread, 1e3 * ROUNDING * abs(self.one[0]), 1e-300)
+
+
+def times_allowed(found: Found) -> float:
+    """What the law leaves over what the record allows, rms over rms, at least 1 but for chance."""
+    signals, law = found.signals, found.fit
+    if signals.times is not None:
+        return 1.0
+    left = signals.counted(signals.command - command_of(signals, law, found.held))
+    columns = signals.counted(_seen(found))
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 0.0] / norms[norms > 0.0]
+    if left.size < 2 * columns.shape[1]:
+        return 1.0
+    gains, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-10)
+    rest = left - columns @ gains
+    allowed = float(rest @ rest) / max(left.size - int(rank), 1)
+    mean = float(left @ left) / max(left.size - law.size, 1)
+    allowed = max(allowed, (ROUNDING * float(np.abs(signals.command).max())) ** 2)
+    return float(np.sqrt(mean / allowed)) if allowed > 0.0 else 1.0
+
+
+def _seen(found: Found) -> np.ndarray:
+    """What the controller saw (n, ...): the terms of a law with either source, increments of position and reference."""
+    signals, timing = found.signals, found.fit.timing
+    columns = [regressors(signals, replace(timing, profile=profile), found.held) for profile in (False, True)]
+    if signals.velocity_reference:
+        columns = columns[:1]
+    for x, count in ((signals.position, PAST), (signals.reference, PAST_REFERENCE)):
+        steps = np.diff(x, prepend=x[:1])
+        columns += [np.concatenate([np.zeros(late), steps[: steps.size - late]])[:, None] for late in range(count)]
+    return np.column_stack(columns)
+
+
+def disagreement(
+    found: Found, parts: Sequence[np.ndarray], numbers: Callable[..., dict[str, float]]
+) -> Disagreement | None:
+    """The number that two of the ``parts`` (n,) of the samples tell most unlike; None where all agree."""
+    told: list[tuple[int, Numbers]] = []
+    for place, part in enumerate(parts):
+        used = found.signals.used & part
+        if used.sum() >= FEWEST:
+            told.append((place, _numbers(replace(found.signals, used=used), found, numbers)))
+    worst: Disagreement | None = None
+    for i, (place, one) in enumerate(told):
+        for other_place, other in told[i + 1 :]:
+            for name in one.keys() & other.keys():
+                pair = Disagreement(name, one[name], other[name], (place, other_place))
+                if pair.apart > (APART if worst is None else worst.apart):
+                    worst = pair
+    return worst
+
+
+def halves(signals: Signals) -> list[np.ndarray]:
+    """The first and the second half (n,) of the samples that count."""
+    count = np.cumsum(signals.used)
+    first = count <= count[-1] // 2
+    return [first, ~first]
+
+
+def _numbers(part: Signals, found: Found, numbers: Callable[..., dict[str, float]]) -> Numbers:
+    """The numbers of the law fitted to a part alone, with their deviations."""
+    one = fit(part, found.fit, found.held)
+    return with_deviations(one, covariance(part, one, found.held), numbers)
 
 
 def described(one: Fit, found: Found) -> dict[str, Any]:
@@ -152,3 +378,99 @@ def _of_unlike_estimators(own: LawEstimate, against: LawEstimate) -> dict[str, A
 
 def _shown(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else "none" if value is None else str(value)
+
+
+def kind_of(found: Fit, velocity_reference: bool) -> str:
+    """Kind of the law in an axis file, "" where no law of the package has these terms."""
+    s = found.structure
+    plain = not (s.acceleration or s.coulomb or found.filters) and found.timing.every == 1
+    plain = plain and not found.timing.profile
+    if not s.velocity:
+        return "p" if plain and not s.form else ""
+    if velocity_reference:
+        return "" if s.position or s.force else "cascade"
+    if s.position:
+        return "" if s.force else "position_pd" if plain and not s.form and s.share == 0 else "cascade"
+    if s.form != "ip" or not plain or s.share != 1:
+        return ""
+    # With the backward difference the integral of the velocity error is the position error: one law, two kinds.
+    return "position_pd" if found.timing.velocity_estimator == "backward" and not s.force else "ip_velocity"
+
+
+def numbers_of(found: Fit, velocity_reference: bool) -> dict[str, float]:
+    """The numbers of the law by their place in the table, such as "position.kp"."""
+    kind, s = kind_of(found, velocity_reference), found.structure
+    part = dict(zip(s.linear, map(float, found.linear), strict=True))
+    estimated, estimator = {}, found.timing.velocity_estimator
+    if s.velocity and isinstance(estimator, Estimator) and sought(estimator):
+        estimated = {f"velocity_estimator.{NUMBERS[estimator.kind]}": estimator.number}
+    gain, rate = found.gain, found.position_rate
+    if kind == "p":
+        return {"kp": part["position"]}
+    if kind == "position_pd":
+        return {"kp": rate if s.position else found.wi, "kv": gain} | estimated
+    if kind == "ip_velocity":
+        own = {"k_v1": gain, "t_v": 1.0 / found.wi}
+        return own | ({"k_e1": part["force"] / gain} if s.force else {}) | estimated
+    numbers = {"position.kp": rate} if s.position else {}
+    numbers["velocity.kp"] = gain
+    if s.form:
+        numbers["velocity.ti"] = 1.0 / found.wi
+    if s.share is None:
+        numbers["feedforward.velocity"] = part["following"] / gain
+    numbers |= {f"feedforward.{name}": part[name] for name in ("acceleration", "coulomb") if name in part}
+    numbers |= estimated
+    for i, one in enumerate(found.filters):
+        numbers |= {f"filters.{i}.{name}": value for name, value in zip(one.names, one.values, strict=True)}
+    return numbers
+
+
+def table_of(found: Fit, velocity_reference: bool, numbers: dict[str, float], holds: bool) -> dict[str, Any]:
+    """The ``[controller]`` table with these ``numbers``; ``holds`` says that the integral holds at the limit."""
+    kind = kind_of(found, velocity_reference)
+    table: dict[str, Any] = {"kind": kind}
+    if kind == "cascade" and not velocity_reference:
+        table["position"] = {"kp": numbers["position.kp"], "every": found.timing.every}
+    if kind != "cascade":
+        table |= {name: value for name, value in numbers.items() if "." not in name}
+    else:
+        table["velocity"] = nested(numbers, "velocity")
+        if found.structure.form:
+            table["velocity"]["form"] = found.structure.form
+        ahead = nested(numbers, "feedforward")
+        if found.structure.share == 1 and not velocity_reference:
+            ahead["velocity"] = 1.0
+        if ahead:
+            table["feedforward"] = {name: ahead[name] for name in AHEAD if name in ahead}
+            if found.timing.profile and "velocity" in ahead:
+                table["feedforward"]["source"] = "profile"
+        if found.filters:
+            filters = enumerate(found.filters)
+            table["filters"] = [{"kind": one.kind, **nested(numbers, f"filters.{i}")} for i, one in filters]
+        if found.structure.form:
+            table["anti_windup"] = "hold" if holds else "none"
+    if kind not in ("p",):
+        estimator = found.timing.velocity_estimator
+        (number,) = nested(numbers, "velocity_estimator").values() or (None,)
+        table["velocity_estimator"] = estimator_table(estimator, number)
+    return table
+
+
+def deviations_of(found: Fit, stds: dict[str, float]) -> dict[str, Any]:
+    """The deviations in the shape of the table."""
+    table: dict[str, Any] = {}
+    for name, std in stds.items():
+        head, _, rest = name.partition(".")
+        if head == "filters":
+            i, _, leaf = rest.partition(".")
+            table.setdefault("filters", [{} for _ in found.filters])[int(i)][leaf] = std
+        elif rest:
+            table.setdefault(head, {})[rest] = std
+        else:
+            table[head] = std
+    return table
+
+
+def nested(numbers: dict[str, float], head: str) -> dict[str, Any]:
+    """The numbers below ``head``, by the rest of their names."""
+    return {name.removeprefix(f"{head}."): value for name, value in numbers.items() if name.startswith(f"{head}.")}

@@ -16,9 +16,9 @@ def derivation() -> dict[str, tuple[str, tuple[DerivationStep, ...]]]:
     >>> list(derivation())
     ['model', 'cascade', 'pi', 'identification', 'impedance']
     """
-    from emps_design.paper.derivations.force_loop import derive_force_loop
+    from emps_design.paper.derivations.velocity_loop import derive_force_loop
     from emps_design.paper.derivations.impedance import derive_impedance
-    from emps_design.paper.derivations.least_squares import derive_least_squares
+    from emps_design.paper.derivations.model import derive_least_squares
     from emps_design.paper.derivations.model import derive_model
     from emps_design.paper.derivations.velocity_loop import derive_pi_loop, derive_velocity_loop
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import sympy as sp
 
 from emps_design.laws.friction_model import FrictionModel
-from emps_design.paper import symbols as y
+from emps_design.paper import written as y
 from emps_design.paper.derivations.step import DerivationStep, compared
-from emps_design.paper.printed import EQUATIONS, READ_AS
-from emps_design.paper.written import Equation, Sum, in_order
+from emps_design.paper.written import EQUATIONS, READ_AS, Equation, Sum, in_order
 
 RATIO = (y.M_h, y.M_a)
 MOVED, AWAY = y.qd - y.qd_0, y.q - y.q_0

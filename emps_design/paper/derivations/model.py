@@ -1,14 +1,18 @@
-"""(1) to (5): drive and carriage from Newton's law, and the model linear in its parameters."""
+"""(1) to (5) and (12) to (23): drive and carriage, the model linear in its parameters, and its least squares.
+
+(1) to (5): drive and carriage from Newton's law, and the model linear in its parameters.
+
+(12) to (23): least squares for any number of samples and parameters, its statistics, and the observed force.
+"""
 
 from __future__ import annotations
 
 import sympy as sp
 from sympy.physics import units
 
-from emps_design.paper import symbols as y
+from emps_design.paper import written as y
 from emps_design.paper.derivations.step import DerivationStep, compared
-from emps_design.paper.printed import BREAK_AWAY, EQUATIONS, TABLES, UNIT_OF_K_T
-from emps_design.paper.written import Equation, Sum
+from emps_design.paper.written import BREAK_AWAY, EQUATIONS, TABLE_TEXT, TABLES, UNIT_OF_K_T, Equation, Sum
 
 J, m, T, T_s, f = sp.symbols("J m T T_s f", positive=True)
 qdd_m = sp.Symbol(r"\ddot{q}_m", real=True)
@@ -17,6 +21,11 @@ RIGID = "rigid: the motor turns by q_m = r q"
 LOSSLESS = "the screw loses nothing: friction is counted on the load side"
 CURRENT_LOOP = "the current loop is a gain, 20 times faster than the velocity loop"
 LINE = "friction is a straight line in each direction, away from rest"
+
+FULL_RANK = "n > p, and W_1 has full rank p, so that W_1^T W_1 has an inverse"
+WHITE = "W_1 is not random; the noise has zero mean and covariance sigma_rho^2 I_n (13)"
+rho = sp.MatrixSymbol(r"\rho", y.n, 1)
+X_true = sp.MatrixSymbol("X", y.p, 1)
 
 
 def derive_model() -> tuple[DerivationStep, ...]:
@@ -128,3 +137,190 @@ def _linear() -> DerivationStep:
         "W = [qdd, qd+, qd-, sign(qd+), sign(qd-)] with X = [M, F_v+, F_v-, F_c+, F_c-]; what belongs to the other "
         "direction is zero.", (LINE,), tuple(checks),
     )  # fmt: skip
+
+
+def estimator(W: sp.MatrixExpr = y.W_1) -> sp.MatrixExpr:
+    """The matrix that makes the estimate of the forces: ``(W^T W)^-1 W^T``, for any n x p."""
+    return sp.Inverse(W.T * W) * W.T
+
+
+def derive_least_squares() -> tuple[DerivationStep, ...]:
+    """Derive (12) to (23).
+
+    >>> steps = derive_least_squares()
+    >>> [step.number for step in steps if step.agrees is False]
+    ['13', '15', '16', '18']
+    >>> all(step.holds for step in steps)
+    True
+    """
+    return (_free(), _noise(), _normal(), _variance(), covariance_step(), relative_deviation_step(), *_observation())
+
+
+def _free() -> DerivationStep:
+    return compared(
+        "Without an external force", "12", Equation(y.tau_m1, y.W_1v * y.X_1),
+        "(5) with tau_e = 0, a row for each sample.", ("nobody touches the carriage",),
+    )  # fmt: skip
+
+
+def _noise() -> DerivationStep:
+    square = (rho * rho.T).shape == (y.n, y.n)
+    return compared(
+        "Covariance of the noise", "13", Equation(y.C_rho, y.sigma**2 * y.I_n),
+        "rho has a row for each of the n samples; N is the reader's or the printer's n.",
+        ("samples are independent and equally noisy",), (("rho rho^T is n x n", square),),
+    )  # fmt: skip
+
+
+def _normal() -> DerivationStep:
+    A = estimator()
+    tau = y.W_1 * X_true + rho
+    residual = tau - y.W_1 * A * tau
+    across = (y.W_1.T * residual).expand().doit()
+    exact = (A * y.W_1).doit() == sp.Identity(y.p)
+    return compared(
+        "What is left over", "17", Equation(y.tau_m1, Sum(((y.W_1v, y.X_1h), (y.e_1,)))),
+        "e_1 is what the estimate leaves; least squares makes it orthogonal to every column of W_1.", (FULL_RANK,),
+        (
+            ("W_1^T e_1 = 0", across == sp.ZeroMatrix(y.p, 1) or across == 0),
+            ("forces without noise give the parameters back", exact),
+        ),
+    )  # fmt: skip
+
+
+def _variance() -> DerivationStep:
+    """(14): E ||e||^2 = sigma^2 tr((I - H)^T (I - H)) = sigma^2 (n - p)."""
+    W, A, identity = y.W_1, estimator(), sp.Identity(y.n)
+    H = W * A
+    left = identity - H
+    once = sp.MatMul(*H.args, *H.args).doit() == H and H.T.doit() == H
+    blind = (left * W).expand().doit() == sp.ZeroMatrix(y.n, y.p)
+    # The trace of a product is that of its factors in a circle: tr(W A) = tr(A W).
+    rank = sp.Trace(A * W).doit()
+    degrees = sp.Trace(identity).doit() - rank
+    return compared(
+        "Variance of the noise", "14", Equation(y.variance, y.residual**2 / degrees),
+        "e_1 = (I - H) rho with the projector H = W_1 (W_1^T W_1)^-1 W_1^T, so E(e_1^T e_1) = sigma_rho^2 tr(I - H).",
+        (FULL_RANK, WHITE),
+        (("H H = H and H^T = H", once), ("(I - H) W_1 = 0", blind), ("tr(H) = p", rank == y.p)),
+    )  # fmt: skip
+
+
+def covariance(A: sp.MatrixExpr, sigma: sp.Symbol = y.sigma) -> sp.MatrixExpr:
+    """Covariance of ``A tau`` for noise of covariance ``sigma^2 I``."""
+    return sigma**2 * (A * A.T).doit()
+
+
+def covariance_step(A: sp.MatrixExpr | None = None) -> DerivationStep:
+    """(15) for any n x p, from the matrix ``A`` that makes the estimate; by default :func:`estimator`."""
+    A = estimator() if A is None else A
+    W, identity = y.W_1, sp.Identity(y.n)
+    error = (A * (W * X_true + rho)).expand().doit() - X_true
+    C = covariance(A)
+    H = W * estimator()
+    # Whatever is orthogonal to W is sent to zero by W W^T; there is such a thing, for the trace of I - H is n - p > 0.
+    sent_to_zero = (W * W.T * (identity - H)).expand().doit() == sp.ZeroMatrix(y.n, y.n)
+    more = sp.Trace(identity).doit() - sp.Trace(estimator() * W).doit()
+    printed = EQUATIONS["15"][0]
+    same = printed.right.shape == C.shape and sp.simplify(printed.right - C) == sp.ZeroMatrix(*C.shape)
+    inverse = (C * W.T * W / y.sigma**2).doit()
+    return DerivationStep(
+        "Covariance of the estimate", "15", Equation(y.C_x, C),
+        "The estimate is off by A rho with A = (W_1^T W_1)^-1 W_1^T, and E(A rho rho^T A^T) = sigma_rho^2 A A^T. As "
+        "printed there is nothing to invert: W_1 W_1^T is n x n and sends every column of I - H to zero, "
+        "which is not zero while n > p; C is p x p.",
+        (FULL_RANK, WHITE),
+        (
+            ("the estimate is off by A rho", (error - A * rho).expand().doit() == sp.ZeroMatrix(y.p, 1)),
+            ("C W_1^T W_1 / sigma_rho^2 is the identity", inverse == sp.Identity(y.p)),
+            ("W_1 W_1^T (I - H) = 0", sent_to_zero),
+            ("tr(I - H) = n - p", sp.simplify(more - (y.n - y.p)) == 0),
+            ("W_1 W_1^T is n x n, C is p x p", (W * W.T).shape == (y.n, y.n) and C.shape == (y.p, y.p)),
+        ),
+        printed,
+        {},
+        sp.Integer(0) if same else printed.right,
+    )  # fmt: skip
+
+
+def _interval(cell: str, cut: bool) -> tuple[float, float]:
+    """The numbers that are printed as ``cell``: rounded to its last digit, or cut off after it."""
+    unit = 10.0 ** -(len(cell.split(".")[1]) if "." in cell else 0)
+    value = float(cell)
+    return (value, value + unit) if cut else (value - 0.5 * unit, value + 0.5 * unit)
+
+
+def column_factor(row: tuple[str, str, str], cut: bool = False) -> tuple[float, float]:
+    """Least and largest ratio of the column %sigma to 100 sigma/|X| that the digits of a table's row allow.
+
+    >>> [round(bound, 2) for bound in column_factor(("115.7315", "0.5765", "0.4981"))]
+    [2.0, 2.0]
+    """
+    (x0, x1), (d0, d1), (c0, c1) = (_interval(cell, cut) for cell in row)
+    return c0 * x0 / (100.0 * d1 / 2.0), c1 * x1 / (100.0 * d0 / 2.0)
+
+
+def relative_deviation_step() -> DerivationStep:
+    """(16) against every row of Tables I and II."""
+    checks, factors = [], []
+    for table, rows in TABLE_TEXT.items():
+        for name, row in rows.items():
+            low, high = column_factor(row)
+            cut_low, cut_high = column_factor(row, cut=True)
+            factors.append(0.5 * (low + high))
+            rounded, either = low <= 2.0 <= high, cut_low <= 2.0 <= cut_high
+            how = "" if rounded else ", digits cut off rather than rounded"
+            where = {"table_1": "Table I", "table_2": "Table II"}[table]
+            checks.append((f"{where}, {name.replace('_', ' ')}: twice (16){how}", rounded or either))
+            checks.append((f"{where}, {name.replace('_', ' ')}: not (16) itself", not low <= 1.0 <= high))
+    factor = sp.Integer(round(sum(factors) / len(factors)))
+    left = sp.Symbol(r"\%\sigma")
+    derived = Equation(left, factor * 100 * y.sigma_x / sp.Abs(y.x))
+    return compared(
+        "Relative standard deviation in Tables I and II", "16", derived,
+        "The column holds two standard deviations over the value, (16) says one; within the digits, in every row.",
+        ("a printed number lies within half of its last digit, or was cut off after it",), tuple(checks),
+    )  # fmt: skip
+
+
+def _observation() -> list[DerivationStep]:
+    """(18) to (23) from (5); order counts in W X, so these are solved by hand and the program puts them back."""
+    balance = "(5) on the second experiments"
+
+    def solved(left: sp.Symbol, W: sp.Symbol, X: sp.Symbol, motor: sp.Symbol) -> tuple[Equation, tuple[str, bool]]:
+        force = Sum(((W, X), (-1, motor)))
+        return Equation(left, force), ("put back into (5)", sp.expand(motor + force.expression - W * X) == 0)
+
+    observed, back = solved(y.tau_e2, y.W_2, y.X_2, y.tau_m2)
+    cross, cross_back = solved(y.tau_e2h, y.W_2, y.X_1m, y.tau_m2)
+    own, own_back = solved(y.tau_evh, y.W, y.X_hat, y.tau_mv)
+    error = sp.expand(y.Y - y.W * y.X_hat)
+    seen = sp.expand((y.Y - y.tau_mv) - own.rhs)
+    return [
+        compared(
+            "External force from the model", "18", observed,
+            "(5) solved for the external force, as (19) and (23) have it; (18) is printed with the opposite sign.",
+            (balance,), (back,),
+        ),
+        compared(
+            "The same from parameters found before", "19", cross, "X_2 is not known: the mean of ten identifications "
+            "takes its place.", (balance, "friction is that of the identification"), (cross_back,),
+        ),
+        compared(
+            "Error of the observer", "20", Equation(y.tau_e2, Sum(((y.tau_e2h,), (y.e_2,)))),
+            "e_2 is what (19) is off by.", (balance,),
+        ),
+        compared(
+            "Direct validation", "21", Equation(y.Y, Sum(((y.tau_mv,), (y.tau_ev,)))),
+            "Both forces of (5) are measured.", ("the sensor reads the force on the carriage",),
+        ),
+        compared(
+            "Its error", "22", Equation(y.Y, Sum(((y.W, y.X_hat), (y.e_i,)))),
+            "e_i is what least squares leaves.", ("the sensor reads the force on the carriage",),
+        ),
+        compared(
+            "Its observed force", "23", own, "(21) and (22): the measured force less the observed one is e_i.",
+            ("the sensor reads the force on the carriage",),
+            (own_back, ("tau_e minus the observed force is e_i", sp.expand(seen - error) == 0)),
+        ),
+    ]  # fmt: skip

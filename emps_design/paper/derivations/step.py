@@ -8,8 +8,7 @@ from typing import Any
 
 import sympy as sp
 
-from emps_design.paper.printed import EQUATIONS, READ_AS
-from emps_design.paper.written import Equation, latex, text
+from emps_design.paper.written import EQUATIONS, READ_AS, Equation, latex, text
 
 AS_PRINTED, NOT_AS_PRINTED, FAILS = "as printed", "not as printed", "does not hold"
 

@@ -3,9 +3,9 @@
 import pytest
 
 from emps_design.advice import advise
-from emps_design.identification.plausibility import implausible
-from emps_design.identification.unexplained import Unexplained
-from emps_design.importing.contradictions import MEANS
+from emps_design.identification.assemble import implausible
+from emps_design.identification.proposals import Unexplained
+from emps_design.importing.read import MEANS
 from emps_design.machines import machine
 
 WORDS = ("diagnose", "r.npz", "--axis", "a.toml")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from emps_design.cli.partial_diagnosis import PartialDiagnosis
+from emps_design.cli.interrupts import PartialDiagnosis
 
 
 @pytest.mark.parametrize("out", ["found", ".", "../work", "work/.."])

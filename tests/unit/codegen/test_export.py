@@ -10,14 +10,10 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.codegen import export_controller
-from emps_design.codegen.ahead import Ahead
-from emps_design.codegen.block import Block
-from emps_design.codegen.c import functions_in_c
-from emps_design.codegen.origin import commit
-from emps_design.codegen.pages import block_name
-from emps_design.codegen.rounded_kernel import largest, on_rounded, smallest
-from emps_design.codegen.rounding import Roundings, every_way
-from emps_design.codegen.st import functions_in_st
+from emps_design.codegen.block import Ahead, Block
+from emps_design.codegen.languages import functions_in_c, functions_in_st
+from emps_design.codegen.rounding import Roundings, every_way, largest, on_rounded, smallest
+from emps_design.codegen.targets import block_name, commit
 from emps_design.compensation import FeedForward
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from emps_design.codegen.c import functions_in_c
+from emps_design.codegen.languages import functions_in_c
 from emps_design.codegen.program import ARRAY, INT, REAL
 from emps_design.codegen.reader import read_program
 from emps_design.errors import InputError

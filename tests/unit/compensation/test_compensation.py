@@ -12,8 +12,8 @@ from emps_design.compensation import FeedForward, compensate
 from emps_design.compensation.feedback import feedback_cures, largest_factor
 from emps_design.compensation.feedforward import BASELINE, motion_ahead, terms_of
 from emps_design.compensation.study import Trial
-from emps_design.control.loop.nested import nested_loops
-from emps_design.control.loop.sampled_loop import axis_loop
+from emps_design.control.nested_loops import nested_loops
+from emps_design.control.sampled import axis_loop
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import get_law, law_of

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emps_design.control.force.design import design_force_loop
+from emps_design.control.force import design_force_loop
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import SimulationError
 from emps_design.machines import machine

@@ -9,15 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emps_design.cli.app import run
-from emps_design.control.force.design import design_force_loop
-from emps_design.control.force.limits import largest_force_gain
+from emps_design.control.force import design_force_loop, largest_force_gain
 from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.structure import IP, PI, PI_WITH_REFERENCE_FILTER
+from emps_design.control.velocity.gains import IP, PI, PI_WITH_REFERENCE_FILTER
 from emps_design.errors import InputError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
-from emps_design.paper import symbols as y
-from emps_design.paper.derivations.force_loop import derive_force_loop
+from emps_design.paper import written as y
+from emps_design.paper.derivations.velocity_loop import derive_force_loop
 
 LOOP = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+from emps_design.control.velocity.comparison import second_order_step
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import (
     MINUS_3_DB,
@@ -18,10 +19,9 @@ from emps_design.control.velocity.gains import (
     velocity_gains,
 )
 from emps_design.control.velocity.specification import check_specification
-from emps_design.control.velocity.step_response import second_order_step
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
-from emps_design.paper import symbols as y
+from emps_design.paper import written as y
 from emps_design.paper.derivations.velocity_loop import derive_velocity_loop
 
 MASS, VISCOUS, FORCE_GAIN = 115.7315, 474.9727, 35.15

@@ -7,14 +7,14 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.plant.linear_plant import linear_plant
-from emps_design.control.velocity.assumptions import carriage_in_words
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.linear_plant import linear_plant
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
-from emps_design.control.velocity.lags import LaggedVelocityLoop, left_out
+from emps_design.control.velocity.gains import IP, PI
 from emps_design.control.velocity.limits import faster_in_words, reach
 from emps_design.control.velocity.retune import retune_velocity_loop
-from emps_design.control.velocity.structure import IP, PI
+from emps_design.control.velocity.sampled import LaggedVelocityLoop, left_out
+from emps_design.control.velocity.specification import carriage_in_words
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
 

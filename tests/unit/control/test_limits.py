@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from emps_design.cli.app import run
-from emps_design.control.loop.margins import disk_margin
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.implementation import command_in_a_step
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.margins import disk_margin
+from emps_design.control.velocity.design import command_in_a_step, design_velocity_loop
+from emps_design.control.velocity.gains import IP, PI
 from emps_design.control.velocity.limits import GAIN_MARGIN, limits, reach, suggest_filter
 from emps_design.control.velocity.retune import retune_velocity_loop, retuned_gains
 from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.structure import IP, PI
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.plant.linear_plant import linear_plant
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.linear_plant import linear_plant
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError

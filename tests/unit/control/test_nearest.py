@@ -9,8 +9,8 @@ from scipy.linalg import expm
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
-from emps_design.control.loop.margins import Margins
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.margins import Margins
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.retune import retune_velocity_loop
 from emps_design.control.velocity.specification import Pairs, nearest_that_works, proposal_in_words

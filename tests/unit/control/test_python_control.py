@@ -4,11 +4,11 @@ import control
 import numpy as np
 import pytest
 
+from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import FrictionModel, impedance_law
 from emps_design.control.impedance.sampled import Clock, sampled_loop
-from emps_design.control.loop.sampled_loop import axis_loop, close
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.plant.linear_plant import linear_plant
+from emps_design.control.linear_plant import linear_plant
+from emps_design.control.sampled import axis_loop, close
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.errors import InputError
 from emps_design.laws import law_of

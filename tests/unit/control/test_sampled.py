@@ -10,9 +10,9 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emps_design.control.loop.margins import loop_margins
-from emps_design.control.plant.discretisation import expm, sample_axis, sample_plant
-from emps_design.control.plant.linear_plant import linear_plant
+from emps_design.control.discretisation import expm, sample_axis, sample_plant
+from emps_design.control.linear_plant import linear_plant
+from emps_design.control.margins import loop_margins
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError

@@ -3,18 +3,16 @@
 import numpy as np
 import pytest
 
-from emps_design.control.loop.margins import loop_margins
-from emps_design.control.loop.sampled_loop import axis_loop
-from emps_design.control.loop.steps import EVERY, step_answer
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.margins import loop_margins
 from emps_design.control.position import design_position_loop
-from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.implementation import command_in_a_step, largest_velocity_step
+from emps_design.control.sampled import axis_loop
+from emps_design.control.velocity.comparison import step_responses
+from emps_design.control.velocity.design import command_in_a_step, design_velocity_loop, largest_velocity_step
+from emps_design.control.velocity.gains import IP, PI, PI_WITH_REFERENCE_FILTER
 from emps_design.control.velocity.limits import limits, reach
 from emps_design.control.velocity.retune import retune_velocity_loop
-from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.step_response import step_responses
-from emps_design.control.velocity.structure import IP, PI, PI_WITH_REFERENCE_FILTER
+from emps_design.control.velocity.sampled import EVERY, SampledVelocityLoop, step_answer
 from emps_design.control.velocity.sweeps import sweep_sampled_margins, sweep_stability
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine

@@ -10,18 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emps_design.cli.app import run
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.velocity.comparison import structures_side_by_side
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.velocity.comparison import continuous_step, structures_side_by_side
 from emps_design.control.velocity.design import design_velocity_loop
+from emps_design.control.velocity.gains import IP, PI, PI_WITH_REFERENCE_FILTER, STRUCTURES, Structure
 from emps_design.control.velocity.retune import retune_velocity_loop
 from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.step_response import continuous_step
-from emps_design.control.velocity.structure import IP, PI, PI_WITH_REFERENCE_FILTER, STRUCTURES, Structure
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws import law_of
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
-from emps_design.paper import symbols as y
+from emps_design.paper import written as y
 from emps_design.paper.derivations.velocity_loop import derive_pi_loop
 
 AXIS = machine("emps2018")

@@ -8,14 +8,12 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
-from emps_design.control.cases import cases_of, loops_over
-from emps_design.control.force.design import design_force_loop
-from emps_design.control.loop.margins import Margins
-from emps_design.control.loop.nested import NestedLoop, nested_loops
-from emps_design.control.loop.worst import safety, where_in_words, worst_loop
+from emps_design.control.force import design_force_loop
+from emps_design.control.margins import Margins
+from emps_design.control.nested_loops import NestedLoop, nested_loops, safety, where_in_words, worst_loop
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.load_range import LoadRange, loaded
-from emps_design.control.verdict import DesignVerdict
+from emps_design.control.verdict import DesignVerdict, cases_of, loops_over
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 

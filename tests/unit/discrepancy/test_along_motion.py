@@ -14,7 +14,7 @@ import pytest
 
 from emps_design.cli.app import run
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.along_motion.balance import Fitted
+from emps_design.discrepancy.balance import Fitted
 from emps_design.effects import get_effect
 from emps_design.errors import RecordError, SimulationError
 from emps_design.identification.command_clock import logged_beside, moved

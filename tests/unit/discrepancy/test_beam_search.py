@@ -7,16 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from emps_design.discrepancy import diagnose, rules
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import evaluate, fit, on_bound, weighed
-from emps_design.discrepancy.model.least_squares import descend
-from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search import extension, pruning
-from emps_design.discrepancy.search.acceptance import Judge, _seen_again
-from emps_design.discrepancy.search.beam_search import (
+from emps_design.discrepancy import beam_search, diagnose, extension, rules
+from emps_design.discrepancy.acceptance import Judge, _seen_again
+from emps_design.discrepancy.beam_search import (
     MOST_EFFECTS,
     _extend,
     _far_behind,
@@ -25,13 +18,18 @@ from emps_design.discrepancy.search.beam_search import (
     _pair,
     _pays_again,
     _rivals,
+    exchanges,
+    pruned,
     with_before,
 )
-from emps_design.discrepancy.search.exchange import exchanges
-from emps_design.discrepancy.search.extension import _fitted, converged, extended, extensions, freed
-from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.discrepancy.search.pruning import pruned
-from emps_design.discrepancy.search.starts import screen, tangent
+from emps_design.discrepancy.calibration import Outcome
+from emps_design.discrepancy.extension import _fitted, converged, extended, extensions, freed
+from emps_design.discrepancy.fit import evaluate, fit, on_bound, weighed
+from emps_design.discrepancy.least_squares import Candidate, descend
+from emps_design.discrepancy.noise_floor import Whitening
+from emps_design.discrepancy.problem import Hypothesis, Problem
+from emps_design.discrepancy.records import split
+from emps_design.discrepancy.starts import screen, tangent
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -146,7 +144,7 @@ def test_what_was_tried_before_counts_where_the_rest_of_a_model_is_left_in_a_poo
     delay = np.array([[1.5e-3]])
     start = hypothesis(BASELINE.with_effect(LAG, np.array([[2e-4]])).with_effect(DELAY, delay), DELAYED)
     both, alone = fit(start), fit(start.with_model(BASELINE.with_effect(DELAY, delay)))
-    monkeypatch.setattr(pruning, "fit", evaluate)  # the rest stays as the model with both left it
+    monkeypatch.setattr(beam_search, "fit", evaluate)  # the rest stays as the model with both left it
     compared = {}
 
     def accept(better, worse):

@@ -8,23 +8,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from emps_design.discrepancy import diagnose, rules
-from emps_design.discrepancy.explain.explanation import explain
-from emps_design.discrepancy.model import unknown_force
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import evaluate, fit
-from emps_design.discrepancy.model.missing_force import missing_force
-from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.model.recorded import seen_up_to
-from emps_design.discrepancy.model.state import beside_state
-from emps_design.discrepancy.model.unknown_force import KINDS, beside_kind, inertia, with_kind
-from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search import beside_force
-from emps_design.discrepancy.search.starts import starts, tangent
-from emps_design.discrepancy.validation import verdict
-from emps_design.discrepancy.validation.beside_unknown import Beside, _fitted_around
-from emps_design.discrepancy.validation.evidence import Asked
+from emps_design.discrepancy import beam_search, diagnose, rules, unknown_force, verdict
+from emps_design.discrepancy.confirmation import Asked
+from emps_design.discrepancy.explanation import explain
+from emps_design.discrepancy.fit import evaluate, fit
+from emps_design.discrepancy.least_squares import Candidate
+from emps_design.discrepancy.noise_floor import Whitening
+from emps_design.discrepancy.problem import Hypothesis, Problem
+from emps_design.discrepancy.records import seen_up_to, split
+from emps_design.discrepancy.starts import starts, tangent
+from emps_design.discrepancy.unknown_force import KINDS, beside_kind, beside_state, inertia, missing_force, with_kind
+from emps_design.discrepancy.verdict import Beside, _fitted_around
 from emps_design.effects import Motion, get_effect
 from emps_design.machines import machine
 from emps_design.progress import untold
@@ -218,7 +212,7 @@ SPRING = {"kind": "elastic_force", "stiffness": 100.0, "rest_position": 0.0}
 def test_an_effect_starts_in_its_own_size_where_an_unknown_force_took_most_of_it(force):
     seen = with_force(force, 1, SMOOTH, SPRING)
     baseline = fit(Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array())))
-    beside = beside_force.in_turn(baseline, KINDS[2][0][0])[-1]
+    beside = beam_search.in_turn(baseline, KINDS[2][0][0])[-1]
     assert beside.cost < 0.05 * baseline.cost
     first, *_ = starts(beside, get_effect("elastic_force"), missing_force(beside), tangent(beside))
     assert first.model.values[-1][0, 0] == pytest.approx(100.0, rel=0.15)
@@ -288,10 +282,10 @@ def stopped():
 @pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_no_unknown_force_is_needed_where_effects_leave_less(stopped):
     force, (baseline, *_) = stopped.of_a_kind, stopped.path
-    again = beside_force._of_a_kind(stopped.calibration, [baseline, baseline], None)
+    again = beam_search._of_a_kind(stopped.calibration, [baseline, baseline], None)
     assert [one.kind for one in again] == [force.kind]
     better = evaluate(force.found)  # as effects that leave as little would
-    assert beside_force._of_a_kind(stopped.calibration, [baseline, baseline, better], None) == []
+    assert beam_search._of_a_kind(stopped.calibration, [baseline, baseline, better], None) == []
 
 
 @pytest.mark.study("a whole diagnosis beside an unknown force")
@@ -329,12 +323,12 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
         stopped.append(search(*arguments))
         return stopped[-1]
 
-    def past(outcome, progress, goes_on=beside_force.finished, **named):
+    def past(outcome, progress, goes_on=beam_search.finished, **named):
         gone_on.append(outcome)
         return goes_on(outcome, progress, **named)
 
     monkeypatch.setattr(module, "search_or_kind", searched)
-    monkeypatch.setattr(beside_force, "finished", past)
+    monkeypatch.setattr(beam_search, "finished", past)
     told = []
     library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
     first, second = with_force(crank, 1, SMOOTH), with_force(crank, 2, SLOWER)

@@ -7,13 +7,12 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.cli import app
-from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.search import description
+from emps_design.discrepancy import closest, diagnose
 from emps_design.effects import get_effect, known_effects
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.driven import driven_by
+from emps_design.simulation.run import driven_by
 from emps_design.simulation.synthetic import trapezoid_laps
 
 AXIS = machine("emps2019")
@@ -77,10 +76,10 @@ def test_what_holds_on_one_record_only_is_not_given():
 
 def test_an_event_or_a_contact_describes_nothing(monkeypatch):
     asked = []
-    monkeypatch.setattr(description, "tangent", lambda found: None)
-    monkeypatch.setattr(description, "fit", lambda found, part: found)
-    monkeypatch.setattr(description, "screen", lambda found, library, absorbed: asked.extend(library) or [])
-    description.described(None, tuple(known_effects().values()))
+    monkeypatch.setattr(closest, "tangent", lambda found: None)
+    monkeypatch.setattr(closest, "fit", lambda found, part: found)
+    monkeypatch.setattr(closest, "screen", lambda found, library, absorbed: asked.extend(library) or [])
+    closest.described(None, tuple(known_effects().values()))
     names = {effect.name for effect in asked}
     assert {"force_map", "friction_map", "maxwell_slip_friction", "stribeck_friction"} <= names
     assert not names & {"external_force", "mass_change", "end_stop", "backlash", "actuator_lag", "encoder_error"}

@@ -7,19 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from emps_design.discrepancy.acceptance import Judge
+from emps_design.discrepancy.beam_search import UNFINISHED
+from emps_design.discrepancy.calibration import Outcome
+from emps_design.discrepancy.confirmation import Asked, _size_known, asked_for, standing
 from emps_design.discrepancy.diagnose import NOT_REPEATED, _finer, _repeated
-from emps_design.discrepancy.model.bootstrap import rms_interval
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import evaluate, fit
-from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search.acceptance import Judge
-from emps_design.discrepancy.search.beam_search import UNFINISHED
-from emps_design.discrepancy.search.noise_floor import LAPS, floor_of_laps, floor_of_residual
-from emps_design.discrepancy.search.outcome import Outcome
-from emps_design.discrepancy.validation.confirmation import _size_known, standing
-from emps_design.discrepancy.validation.evidence import Asked, asked_for
+from emps_design.discrepancy.fit import evaluate, fit
+from emps_design.discrepancy.least_squares import Candidate
+from emps_design.discrepancy.noise_floor import LAPS, Whitening, floor_of_laps, floor_of_residual, rms_interval
+from emps_design.discrepancy.problem import Hypothesis, Problem
+from emps_design.discrepancy.records import split
 from emps_design.effects import get_effect
 from emps_design.effects.guesses import pulses
 from emps_design.machines import machine

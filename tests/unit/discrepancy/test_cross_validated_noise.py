@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.model.state import smooth_of_state
-from emps_design.discrepancy.search.noise_floor import usual_rms
+from emps_design.discrepancy.noise_floor import usual_rms
+from emps_design.discrepancy.unknown_force import smooth_of_state
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record

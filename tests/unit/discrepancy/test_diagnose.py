@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 
 from emps_design.cli.output import plain
-from emps_design.discrepancy import diagnose, rules
-from emps_design.discrepancy.checks.preparation import prepare
-from emps_design.discrepancy.checks.requirements import check_records, check_same_drive
-from emps_design.discrepancy.model import parallel
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.model.whitening import Whitening
+from emps_design.discrepancy import diagnose, parallel, rules
+from emps_design.discrepancy.least_squares import Candidate
+from emps_design.discrepancy.noise_floor import Whitening
+from emps_design.discrepancy.preparation import check_records, check_same_drive, prepare
+from emps_design.discrepancy.problem import Hypothesis, Problem
+from emps_design.discrepancy.records import split
 from emps_design.effects import get_effect, known_effects
 from emps_design.effects.sizes import sizes
 from emps_design.errors import InputError, RecordError

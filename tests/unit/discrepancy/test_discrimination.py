@@ -6,23 +6,20 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.experiment.discrimination import choose, experiment
-from emps_design.discrepancy.experiment.excitation import EXCITATIONS, Envelope, excitations, instruction
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import fit
-from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem
-from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search.calibration import Calibration
-from emps_design.discrepancy.search.noise_floor import floor_of_laps
-from emps_design.discrepancy.search.null_distribution import Healthy
-from emps_design.discrepancy.search.outcome import Outcome
+from emps_design.discrepancy.acceptance import Healthy
+from emps_design.discrepancy.calibration import Calibration, Outcome
+from emps_design.discrepancy.experiment import EXCITATIONS, Envelope, choose, excitations, experiment, instruction
+from emps_design.discrepancy.fit import fit
+from emps_design.discrepancy.least_squares import Candidate
+from emps_design.discrepancy.noise_floor import Whitening, floor_of_laps
+from emps_design.discrepancy.problem import Hypothesis, Problem
+from emps_design.discrepancy.records import split
 from emps_design.effects import REGISTRY, get_effect, register
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
+from emps_design.simulation.scenarios import multi_sine
 from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
-from emps_design.simulation.trajectories import multi_sine
 from tests.studies import quick
 
 AXIS = machine("emps2019")

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.checks.preparation import prepare
-from emps_design.discrepancy.search.calibration import first_noise
+from emps_design.discrepancy.calibration import first_noise
+from emps_design.discrepancy.preparation import prepare
 from emps_design.effects import EFFECTS
 from emps_design.machines import machine
 from emps_design.records import Record

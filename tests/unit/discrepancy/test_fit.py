@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.fit import admissible, evaluate, fit, play_anew, refitted, sensitivities
-from emps_design.discrepancy.model.least_squares import descend
-from emps_design.discrepancy.model.missing_force import missing_force
-from emps_design.discrepancy.model.partition import split
-from emps_design.discrepancy.model.problem import Hypothesis, Problem, orthonormal
-from emps_design.discrepancy.model.simplex import simplex
-from emps_design.discrepancy.model.whitening import Whitening
-from emps_design.discrepancy.search.noise_floor import floor_of_laps, floor_of_residual, usual_rms
+from emps_design.discrepancy.fit import admissible, evaluate, fit, play_anew, refitted, sensitivities
+from emps_design.discrepancy.least_squares import Candidate, descend, simplex
+from emps_design.discrepancy.noise_floor import Whitening, floor_of_laps, floor_of_residual, usual_rms
+from emps_design.discrepancy.problem import Hypothesis, Problem, orthonormal
+from emps_design.discrepancy.records import split
+from emps_design.discrepancy.unknown_force import missing_force
 from emps_design.effects import get_effect
 from emps_design.errors import SimulationError
 from emps_design.machines import machine

@@ -7,8 +7,7 @@ import pytest
 
 from emps_design.cli.app import run as command
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.checks.kept_closed import kept_closed
-from emps_design.discrepancy.checks.preparation import prepare
+from emps_design.discrepancy.preparation import kept_closed, prepare
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record

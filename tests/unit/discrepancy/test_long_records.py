@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.checks import long_records
+from emps_design.discrepancy import diagnose, long_records
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from emps_design.discrepancy.explain.measured_response import measured_response
+from emps_design.discrepancy.explanation import measured_response
 from emps_design.machines import machine
 from tests.unit.frequency_response.cases import experiment, two_mass
 

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.checks.preparation import prepare
-from emps_design.discrepancy.explain import explanation
+from emps_design.discrepancy import explanation
+from emps_design.discrepancy.preparation import prepare
 from emps_design.effects.effect import OFFSET
 from emps_design.identification.model import LUMPED
-from emps_design.report.diagnosis_design import axis_before
+from emps_design.report.diagnosis import axis_before
 from tests.unit.identification.test_short_records import MOTOR, run
 
 FORTH, BACK = run(1, seconds=1.0), run(-1, seconds=1.0)

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from emps_design.discrepancy.model.parallel import side_by_side
+from emps_design.discrepancy.parallel import side_by_side
 
 
 def test_calls_within_calls_keep_their_order():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.checks.preparation import prepare
-from emps_design.discrepancy.model.missing_force import missing_force
-from emps_design.discrepancy.model.partition import START_UP, find_lap, find_strokes, split
+from emps_design.discrepancy.preparation import prepare
+from emps_design.discrepancy.records import START_UP, find_lap, find_strokes, split
+from emps_design.discrepancy.unknown_force import missing_force
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps

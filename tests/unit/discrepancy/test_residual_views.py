@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from emps_design.discrepancy.explain.residual_views import views
-from emps_design.discrepancy.model.missing_force import MissingForce
+from emps_design.discrepancy.residual_views import views
+from emps_design.discrepancy.unknown_force import MissingForce
 from emps_design.effects import Motion
 
 

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.model.candidate import Candidate
-from emps_design.discrepancy.model.least_squares import descend
-from emps_design.discrepancy.model.response_surface import bounded, descend_rough
+from emps_design.discrepancy.least_squares import Candidate, bounded, descend, descend_rough
 from emps_design.errors import SimulationError
 from emps_design.machines import machine
 

@@ -48,9 +48,9 @@ def test_the_model_of_what_has_no_name_is_a_better_estimate_than_least_squares(m
 
 
 def test_on_a_healthy_record_it_is_the_fit_itself():
-    from emps_design.discrepancy.checks.preparation import prepare
-    from emps_design.discrepancy.search.calibration import calibrate, first_noise
-    from emps_design.discrepancy.validation.robust import robust
+    from emps_design.discrepancy.calibration import calibrate, first_noise
+    from emps_design.discrepancy.confirmation import robust
+    from emps_design.discrepancy.preparation import prepare
 
     axis = machine("emps2019")
     preparation = prepare((record(axis, 3, 0.0),), axis, LIBRARY, None, None, None)

@@ -73,7 +73,7 @@ def test_the_balance_of_energy_closes_and_friction_takes_it(kind, share):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_linear_plant_has_the_friction_where_it_is(kind):
     """Static gain from force to speed is that of the whole friction, wherever it acts."""
-    from emps_design.control.plant.linear_plant import linear_plant
+    from emps_design.control.linear_plant import linear_plant
 
     axis = machine("emps2019").replace(effects=[{"kind": kind, **numbers(kind, 0.7)}])
     plant = linear_plant(axis)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from emps_design.control.plant.linear_plant import VELOCITY, linear_plant
+from emps_design.control.linear_plant import VELOCITY, linear_plant
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant

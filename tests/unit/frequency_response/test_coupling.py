@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from benchmarks.frequency_response import random_axis
+from emps_design.control.velocity.gains import PI
 from emps_design.control.velocity.load_range import loaded
-from emps_design.control.velocity.structure import PI
 from emps_design.errors import InputError
 from emps_design.frequency_response import FrequencyResponse, estimate_response
-from emps_design.frequency_response.comparison import Comparison, axis_response
-from emps_design.frequency_response.coupling import MassChain, fit_chain
-from emps_design.frequency_response.phase import has_wrong_sign
-from emps_design.frequency_response.suggestion import suggest_filter_on_response
+from emps_design.frequency_response.coupling import Comparison, MassChain, axis_response, fit_chain
+from emps_design.frequency_response.response import has_wrong_sign
+from emps_design.frequency_response.retune import suggest_filter_on_response
 from emps_design.machines import machine
 from emps_design.report.frequency_response import response_blocks
 from tests.studies import quick

@@ -7,11 +7,9 @@ import pytest
 
 from emps_design.errors import AxisError, RecordError
 from emps_design.frequency_response import estimate_response
-from emps_design.frequency_response.distortion import distortion_of
-from emps_design.frequency_response.periodic import Spectra
+from emps_design.frequency_response.answers import Spectra, distortion_of
 from emps_design.frequency_response.response import BAND
-from emps_design.frequency_response.signals import signals_of
-from emps_design.frequency_response.steps import steps_of
+from emps_design.frequency_response.signals import signals_of, steps_of
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant

@@ -10,8 +10,8 @@ from emps_design.axis import Axis
 from emps_design.cli.app import run as command
 from emps_design.errors import InputError, UnstableError
 from emps_design.frequency_response import Limits, design_experiment, estimate_response, read_response
-from emps_design.frequency_response.quantisation import repeated_share
 from emps_design.frequency_response.response import BAND
+from emps_design.frequency_response.signals import repeated_share
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 from tests.unit.frequency_response.cases import exact, run, two_mass

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.discretisation import sample_axis
 from emps_design.errors import InputError
 from emps_design.frequency_response import FrequencyResponse, read_response, write_response
-from emps_design.frequency_response.hold import sampled_position, without_aliases
+from emps_design.frequency_response.measured_plant import sampled_position, without_aliases
 from emps_design.frequency_response.response import BAND
 from emps_design.machines import machine
 from tests.unit.frequency_response.cases import exact

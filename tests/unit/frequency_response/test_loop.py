@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.frequency_response import COMPARED, SPEED, exact_against_force, one_axis, random_axis, true_margins
 from emps_design.cli.app import run as command
-from emps_design.control.loop.nested import nested_loops
-from emps_design.control.loop.sampled_loop import axis_loop
+from emps_design.control.nested_loops import nested_loops
+from emps_design.control.sampled import axis_loop
 from emps_design.errors import InputError, SpecificationError
 from emps_design.frequency_response import (
     FrequencyResponse,
@@ -19,7 +19,7 @@ from emps_design.frequency_response import (
     write_response,
 )
 from emps_design.frequency_response.measured_plant import law_response
-from emps_design.frequency_response.suggestion import MARGINS, SIDES
+from emps_design.frequency_response.retune import MARGINS, SIDES
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine

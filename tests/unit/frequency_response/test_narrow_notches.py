@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.control.velocity.design import VelocityLoopDesign
-from emps_design.control.velocity.structure import PI
+from emps_design.control.velocity.gains import PI
 from emps_design.frequency_response import FrequencyResponse, measured_margins
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine

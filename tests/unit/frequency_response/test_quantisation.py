@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from emps_design.frequency_response import estimate_response
-from emps_design.frequency_response.quantisation import encoder_step, quantised, repeated_share
 from emps_design.frequency_response.response import BAND
+from emps_design.frequency_response.signals import encoder_step, quantised, repeated_share
 from tests.unit.frequency_response.cases import exact, experiment, multi_sine, two_mass
 
 SAMPLES, PERIODS = 1000, 4

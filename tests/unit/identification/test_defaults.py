@@ -13,12 +13,11 @@ from emps_design.cli.app import run
 from emps_design.cli.output import json_text
 from emps_design.errors import InputError
 from emps_design.identification import identify, identify_several
-from emps_design.identification.assemble import assemble
+from emps_design.identification.assemble import assemble, cutoff_sensitivity
 from emps_design.identification.controller import TOLD, LawEstimate
+from emps_design.identification.filters import encoder_variance
 from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.output_error import identify_by_output_error
-from emps_design.identification.rests import encoder_variance
-from emps_design.identification.sensitivity import cutoff_sensitivity
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant

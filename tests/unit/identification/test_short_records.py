@@ -15,7 +15,7 @@ from emps_design.identification.excitation import goes_one_way
 from emps_design.identification.several import identify_together
 from emps_design.importing import layout_of
 from emps_design.records import Record
-from emps_design.records.joined import joined
+from emps_design.records.record import joined
 
 T = 1e-3
 INERTIA, VISCOUS, COULOMB, OFFSET = 1.2e-4, 2e-4, 0.02, 0.002

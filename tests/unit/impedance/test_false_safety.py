@@ -8,8 +8,7 @@ from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.scenario import run_comanipulation
 from emps_design.comanipulation.study import mismatch_study
 from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task
-from emps_design.comanipulation.wall_contact import push_into_wall
-from emps_design.comanipulation.wall_limit import wall_limit
+from emps_design.comanipulation.wall import push_into_wall, wall_limit
 from emps_design.control.impedance.law import FrictionModel, impedance_law
 from emps_design.control.impedance.robustness import creep_speed, drift_threshold, verdict
 from emps_design.control.impedance.sampled import Clock

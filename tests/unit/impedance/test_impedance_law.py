@@ -6,19 +6,22 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.control.impedance.equivalence import (
+from emps_design.control.impedance.law import (
     CRITERIA,
     LEAST_SQUARES,
+    PRINTED,
+    FrictionModel,
+    ImpedanceLaw,
     equivalent_impedance,
     equivalent_loop,
+    impedance_law,
     safety_words,
 )
-from emps_design.control.impedance.law import PRINTED, FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.friction_model import left_out
 from emps_design.machines import machine
-from emps_design.paper import symbols as y
+from emps_design.paper import written as y
 from emps_design.paper.derivations.impedance import cost_of_printed, derived_law, felt_under, printed_law
 
 
@@ -189,7 +192,7 @@ def test_loop_without_positive_gain_is_named(axis):
 
 
 def test_an_equivalent_loop_that_the_drive_cannot_run_says_so(axis):
-    from emps_design.control.impedance.equivalence import equivalent_loop
+    from emps_design.control.impedance.law import equivalent_loop
 
     late = axis.replace(sampling={"computation_delay": 2})
     found = equivalent_loop(late, 80.0, 100.0)

@@ -14,7 +14,6 @@ from emps_design.control.impedance.passivity import (
     largest_wall,
     passivity,
 )
-from emps_design.control.impedance.response import impedance_error, impedance_response, relay_oscillation
 from emps_design.control.impedance.robustness import (
     check_mismatch,
     coulomb_factor_without_creep,
@@ -30,13 +29,16 @@ from emps_design.control.impedance.robustness import (
 from emps_design.control.impedance.sampled import (
     Clock,
     Environment,
+    impedance_error,
+    impedance_response,
     numbers,
     recursion_poles,
+    relay_oscillation,
     sampled_loop,
     sampled_loops,
     spectral_radius,
 )
-from emps_design.control.loop.transfer import transfer
+from emps_design.control.sampled import transfer
 from emps_design.errors import InputError
 
 

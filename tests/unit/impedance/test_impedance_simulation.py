@@ -11,15 +11,13 @@ from emps_design.comanipulation import measures as measure_source
 from emps_design.comanipulation.assessment import assess_impedance
 from emps_design.comanipulation.measures import MEASURES, NAMES, measure
 from emps_design.comanipulation.run import run_many, run_task
-from emps_design.comanipulation.scenario import run_comanipulation
-from emps_design.comanipulation.sensor_comparison import CASCADE, NO_SENSOR, SENSOR, compare_sensors
+from emps_design.comanipulation.scenario import CASCADE, NO_SENSOR, SENSOR, compare_sensors, run_comanipulation
 from emps_design.comanipulation.study import mismatch_study
 from emps_design.comanipulation.task import Task, guided_task, pushed_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law, law_for
 from emps_design.control.impedance.passivity import largest_wall
-from emps_design.control.impedance.response import relay_oscillation
 from emps_design.control.impedance.robustness import VERDICTS, break_away, creep_speed, verdict
-from emps_design.control.impedance.sampled import Clock, extended_loop, sampled_loop
+from emps_design.control.impedance.sampled import Clock, extended_loop, relay_oscillation, sampled_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.environment import Hand

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from emps_design.axis import Axis
 from emps_design.cli import app
 from emps_design.importing import import_record
-from emps_design.importing.contradictions import MEANS, with_contradictions
+from emps_design.importing.read import MEANS, with_contradictions
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.records.layout import Layout
@@ -204,7 +204,7 @@ def test_law_is_exempt_for_it_says_which_law_made_the_record(stage, tmp_path, ca
 
 
 def test_diagnose_and_frf_carry_it(stage, tmp_path):
-    from emps_design.discrepancy.checks.requirements import check_records
+    from emps_design.discrepancy.preparation import check_records
 
     path = tmp_path / "record.npz"
     replace(stage, u=1.5 * stage.u).save(path)

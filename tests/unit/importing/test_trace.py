@@ -10,7 +10,7 @@ from emps_design.axis import Axis
 from emps_design.cli import app
 from emps_design.errors import AxisError
 from emps_design.importing import import_record
-from emps_design.importing.trace import axis_text, read_trace
+from emps_design.importing.account import axis_text, read_trace
 from tests.unit.records.exports import ENCODER, Q_REF, N, Q, T, U, german, rows, scope
 
 FILLED = ("mass", "viscous", "coulomb", "force_gain", "command_limit")

@@ -7,8 +7,7 @@ import pytest
 
 from emps_design.errors import InputError, RecordError
 from emps_design.identification.filters import held_force, low_pass, motion
-from emps_design.identification.observation import direct_validation, observe, with_known_push
-from emps_design.identification.step_answer import step_answer
+from emps_design.identification.observation import direct_validation, observe, step_answer, with_known_push
 from emps_design.machines import machine
 from emps_design.observer import (
     ForceObserver,
@@ -19,7 +18,7 @@ from emps_design.observer import (
     observe_online,
     smallest_observable_force,
 )
-from emps_design.observer.actuation import _lagged
+from emps_design.observer.external_force import _lagged
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from tests.unit.records.with_gaps import as_one, lost

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from emps_design.cli.app import run
-from emps_design.paper.printed import TABLES
+from emps_design.paper.written import TABLES
 
 
 @pytest.mark.study("ten experiments")

@@ -7,16 +7,20 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from emps_design.paper import symbols as y
+from emps_design.paper import written as y
 from emps_design.paper.derivations import derivation
-from emps_design.paper.derivations.force_loop import carriage_step, characteristic, limits
 from emps_design.paper.derivations.impedance import MODEL, TARGET, derive_impedance, derived_law
-from emps_design.paper.derivations.least_squares import column_factor, covariance, covariance_step, estimator
-from emps_design.paper.derivations.velocity_loop import CARRIAGE, CORRECTION, derive_velocity_loop
-from emps_design.paper.errata import find_errata
-from emps_design.paper.latex import document
-from emps_design.paper.printed import EQUATIONS, TABLE_TEXT
-from emps_design.paper.written import Equation, latex, text
+from emps_design.paper.derivations.model import column_factor, covariance, covariance_step, estimator
+from emps_design.paper.derivations.velocity_loop import (
+    CARRIAGE,
+    CORRECTION,
+    carriage_step,
+    characteristic,
+    derive_velocity_loop,
+    limits,
+)
+from emps_design.paper.errata import document, find_errata
+from emps_design.paper.written import EQUATIONS, TABLE_TEXT, Equation, latex, text
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +147,7 @@ def test_the_document_compiles(tmp_path):
 def test_every_equation_says_where_it_stands():
     import pydoc
 
-    from emps_design.paper.places import PLACES
+    from emps_design.paper.errata import PLACES
 
     assert set(PLACES) == set(EQUATIONS)
     assert [name for names in PLACES.values() for name in names if pydoc.locate(name) is None] == []

@@ -5,15 +5,19 @@ import pytest
 
 from benchmarks.table_2 import STRAIGHT, Assumption, rms_speeds, tables_under
 from emps_design.errors import InputError
-from emps_design.paper.bench_numbers import CHOSEN, NUMBERS, PAPER, numbers
-from emps_design.paper.section_3 import PRINTED, reproduce_section_3
 from emps_design.paper.virtual_bench import (
+    CHOSEN,
+    NUMBERS,
+    PAPER,
+    PRINTED,
     bench_axis,
     break_away_test,
     comanipulation_experiment,
     identification_experiment,
     identification_trajectory,
+    numbers,
     operator_force,
+    reproduce_section_3,
 )
 from tests.studies import quick
 

@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.model.partition import split
+from emps_design.discrepancy.records import split
 from emps_design.errors import AxisError, RecordError
-from emps_design.identification.rests import at_rest
+from emps_design.identification.filters import at_rest
 from emps_design.importing import import_bytes, import_record
 from emps_design.importing.account import Account, record_table
 from emps_design.machines import machine
 from emps_design.records import read_record, record_from_bytes
 from emps_design.records.check import PLAIN
-from emps_design.records.layout import Layout
-from emps_design.records.mapping import ColumnMap
+from emps_design.records.layout import ColumnMap, Layout
 from emps_design.units import Units
 from tests.unit.records.exports import ENCODER, Q_REF, N, Q, T, U, german, rows, scope
 

@@ -12,8 +12,7 @@ from scipy.io import savemat
 
 from emps_design.errors import RecordError
 from emps_design.records import Record, read_record, record_from_bytes
-from emps_design.records.layout import Layout
-from emps_design.records.mapping import ColumnMap
+from emps_design.records.layout import ColumnMap, Layout
 
 N = 200
 T = np.arange(N) * 1e-3

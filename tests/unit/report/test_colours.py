@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from emps_design.report import style
-from emps_design.report.impedance_figures import VERDICT_COLORS
+from emps_design.report.impedance import VERDICT_COLORS
 
 SEEN_BY = {
     "everybody else": np.eye(3),

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from emps_design.cli.app import run
+from emps_design.control.velocity.comparison import measure_step, second_order_step
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.retune import retune_velocity_loop
-from emps_design.control.velocity.step_response import measure_step, second_order_step
 from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.report import Page, Section
 from emps_design.report.assemble import assemble_report
 from emps_design.report.design import design_page, design_results
-from emps_design.report.loop_figures import velocity_loop_figures
-from emps_design.report.loops import broken_loops
+from emps_design.report.loop_figures import broken_loops, velocity_loop_figures
 
 EVERYTHING = {
     "crossover": 100.0, "phase_margin_deg": 60.0, "k_e1": 0.01, "environment": 1e4, "mass": 50.0, "damping": 100.0,

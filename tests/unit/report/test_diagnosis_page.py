@@ -11,10 +11,8 @@ import pytest
 from emps_design.cli.diagnose import _show, _window
 from emps_design.errors import InputError
 from emps_design.machines import machine
-from emps_design.report.diagnosis import VERDICTS, diagnosis_page
-from emps_design.report.diagnosis_design import axis_before, design_change
-from emps_design.report.diagnosis_figures import before_after_figure
-from emps_design.report.diagnosis_sections import answer_points, in_plain_words
+from emps_design.report.diagnosis import VERDICTS, axis_before, design_change, diagnosis_page
+from emps_design.report.diagnosis_sections import answer_points, before_after_figure, in_plain_words
 
 
 @dataclass

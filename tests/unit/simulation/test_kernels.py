@@ -124,8 +124,8 @@ def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
 
 
 def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
-    from emps_design.comanipulation import lanes as side_by_side
-    from emps_design.simulation.kernels import baseline, batch, hold_loop, lanes
+    from emps_design.comanipulation import run as side_by_side
+    from emps_design.simulation.kernels import baseline, hold_loop, lanes
     from emps_design.simulation.kernels.compile import source_files
 
     assert Path(lanes.__file__) in source_files(side_by_side.run_lanes.py_func)
@@ -133,16 +133,14 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
         hold_loop.run: {
             "baseline",
             "compile",
-            "event_steps",
             "friction_period",
             "hold_loop",
             "linear_period",
             "motion",
-            "path_memory",
             "smooth_period",
         },
         baseline.run_folded: {"baseline", "compile", "friction_period"},
-        batch.run_lanes: {"batch", "compile", "friction_period"},
+        baseline.run_lanes: {"baseline", "compile", "friction_period"},
         side_by_side.run_lanes: {
             "compile",
             "environment",
@@ -151,6 +149,7 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
             "lanes",
             "measures",
             "motion",
+            "run",
         },
     }
     for dispatcher, names in files.items():
@@ -174,7 +173,7 @@ def test_nowhere_to_write_a_cache_is_no_obstacle():
 
 
 def test_hooks_of_the_effect_module_are_those_of_the_stepper():
-    from emps_design.simulation.effect_hooks import HOOKS
+    from emps_design.simulation.plant import HOOKS
 
     assert set(HOOKS) == {*effect.SCALAR_HOOKS, "actuator", "rate"}
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.control.plant.discretisation import sample_axis
-from emps_design.control.plant.linear_plant import linear_plant
+from emps_design.control.discretisation import sample_axis
+from emps_design.control.linear_plant import linear_plant
 from emps_design.errors import AxisError
 from emps_design.identification import identify
 from emps_design.identification.output_error import identify_by_output_error

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emps_design.cli.app import run
-from emps_design.control.plant.discretisation import sample_axis
+from emps_design.control.discretisation import sample_axis
 from emps_design.errors import SimulationError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.scenarios import follow, replay

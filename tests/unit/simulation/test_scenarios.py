@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from emps_design.cli.app import run as command_line
-from emps_design.discrepancy.checks.controller_law import check_law, law_voltage
+from emps_design.discrepancy.preparation import check_law, law_voltage
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
 from emps_design.simulation import Plant, Run, breakaway, replay, trapezoid_laps
-from emps_design.simulation import trajectories as programs
-from emps_design.simulation.reference_file import read_reference
-from emps_design.simulation.scenarios import follow
+from emps_design.simulation import scenarios as programs
+from emps_design.simulation.scenarios import follow, read_reference
 from tests.unit.records.with_gaps import as_one, lost
 
 AXIS = machine("emps2019")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emps_design.comanipulation.wall_contact import push_into_wall
+from emps_design.comanipulation.wall import push_into_wall
 from emps_design.control.impedance.law import FrictionModel, impedance_law
 from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 from emps_design.errors import InputError

@@ -18,7 +18,7 @@ def at_once(monkeypatch):
             done(found)
         return True
 
-    monkeypatch.setattr("emps_design.studio.jobs.Job.start", start)
+    monkeypatch.setattr("emps_design.studio.panes.Job.start", start)
 
 
 @pytest.fixture(autouse=True)
@@ -26,4 +26,4 @@ def _record_not_drawn(monkeypatch):
     """An empty picture of each record that a tab shows: what is in it is tested with the pictures of reports."""
     from matplotlib.figure import Figure
 
-    monkeypatch.setattr("emps_design.report.record_figures.record_figure", lambda record, units: Figure())
+    monkeypatch.setattr("emps_design.report.record.record_figure", lambda record, units: Figure())

@@ -8,11 +8,10 @@ pytest.importorskip("panel", reason="the extra 'studio' is not installed")
 from emps_design.axis import NO_LIMIT, Axis
 from emps_design.machines import machine, machine_names
 from emps_design.studio.design_view import DesignView
-from emps_design.studio.exports import velocity_design
-from emps_design.studio.feasible import feasible, reachable_frequencies
-from emps_design.studio.motion import DESIGN, move
-from emps_design.studio.ranges import CHOICES, choices_of, sizes
-from emps_design.studio.start import requirements
+from emps_design.studio.files_view import velocity_design
+from emps_design.studio.motion_view import DESIGN, move
+from emps_design.studio.plots import feasible, reachable_frequencies
+from emps_design.studio.ranges import CHOICES, choices_of, requirements, sizes
 from emps_design.studio.state import State, differences_in_words
 
 

@@ -10,9 +10,9 @@ from panel.widgets import FileDownload
 
 from emps_design.machines import machine
 from emps_design.simulation.synthetic import synthetic_record
-from emps_design.studio import exports
+from emps_design.studio import files_view
 from emps_design.studio.app import Session
-from emps_design.studio.axis_file import AxisFile
+from emps_design.studio.panes import AxisFile
 from tests.unit.unlike_axes import JOINT
 
 AXIS = machine("emps2019").replace(name="mine", sampling={"period": 5e-4})
@@ -95,7 +95,7 @@ def test_a_second_record_is_held_out(session, at_once, tmp_path):
 
 
 def test_a_long_download_runs_beside_the_page_and_one_at_a_time(session, monkeypatch):
-    monkeypatch.setattr(exports, "report_html", lambda now, measured, progress: "page")
+    monkeypatch.setattr(files_view, "report_html", lambda now, measured, progress: "page")
     files, begun = session.files, []
     monkeypatch.setattr(files.job, "start", lambda work, done, failed: begun.append((work, done, failed)) or True)
     report = files.view.select(FileDownload)[0].callback

@@ -24,24 +24,22 @@ from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.position import PositionLoopDesign
 from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.structure import PI_WITH_REFERENCE_FILTER
-from emps_design.discrepancy.validation.closest import Closest
+from emps_design.control.velocity.gains import PI_WITH_REFERENCE_FILTER
+from emps_design.discrepancy.closest import Closest
 from emps_design.errors import EmpsError, InputError, RecordError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
 from emps_design.simulation.scenarios import follow
 from emps_design.simulation.synthetic import synthetic_record, there_and_back
-from emps_design.studio import controls, exports, filter_rows, jobs
+from emps_design.studio import controls, files_view, panes
 from emps_design.studio.app import Session
 from emps_design.studio.compensation_view import DESIGN, OWN
-from emps_design.studio.data_view import LIMIT_MB, DataView, read_upload
+from emps_design.studio.data_view import CLOSEST_MODEL, LIMIT_MB, DataView, read_upload
 from emps_design.studio.design_view import DesignView
-from emps_design.studio.exports import figures_zip, report_html
-from emps_design.studio.feasible import KINDS, feasible, plane, reachable_frequencies
-from emps_design.studio.jobs import Job
-from emps_design.studio.plots import LoopPlots, PlanePlot
-from emps_design.studio.record_work import CLOSEST_MODEL
-from emps_design.studio.simulated import simulate
+from emps_design.studio.files_view import figures_zip, report_html
+from emps_design.studio.panes import Job
+from emps_design.studio.plots import KINDS, LoopPlots, PlanePlot, feasible, plane, reachable_frequencies
+from emps_design.studio.simulation_view import simulate
 from emps_design.studio.state import CHOICES, SPECIFICATIONS, TASKS, State
 from tests.browser.conftest import Studio
 from tests.unit.report.test_colours import SEEN_BY, lab
@@ -216,8 +214,8 @@ def test_structure_and_filters_are_those_of_the_axis_until_others_are_chosen():
     design = design_velocity_loop(axes["emps2018"], **asked, structure=PI_WITH_REFERENCE_FILTER, filters=(notch,))
     assert view.design.k_v1 == design.k_v1
     assert f"{design.sampled.margins.phase_margin_deg:.1f}°" in view.numbers.object
-    assert json.loads(exports.gains_json(view.state))["filters"] == [notch.model_dump(exclude_none=True)]
-    assert Axis.from_toml(exports.model_toml(view.state)).controller.filters[0]["frequency"] == 70.0
+    assert json.loads(files_view.gains_json(view.state))["filters"] == [notch.model_dump(exclude_none=True)]
+    assert Axis.from_toml(files_view.model_toml(view.state)).controller.filters[0]["frequency"] == 70.0
     for name, wrong in (("frequency", "70 V"), ("depth", "2"), ("damping", ""), ("frequency", "-3")):
         before = view.filters.fields[0][name].value
         view.filters.fields[0][name].value = wrong
@@ -388,7 +386,7 @@ def test_a_law_that_diverges_is_shown_as_unstable():
 
 @pytest.mark.study("whole reports")
 def test_the_report_is_about_the_state(sketched):
-    text = exports.report_html(state(mass=80.0, damping=150.0, filter=400.0))
+    text = files_view.report_html(state(mass=80.0, damping=150.0, filter=400.0))
     assert "80.00 kg" in text
     assert "150.0 N/(m/s)" in text
 
@@ -396,21 +394,21 @@ def test_the_report_is_about_the_state(sketched):
 @pytest.mark.study("a whole report, twice")
 def test_exports_are_whole_repeatable_and_read_by_the_library():
     now = state(phase_margin_deg=50.0, plants=20)  # drawn at random, as any number of them is
-    assert json.loads(exports.gains_json(now))["k_v1"] == exports.velocity_design(now).k_v1
-    model = Axis.from_toml(exports.model_toml(now))
+    assert json.loads(files_view.gains_json(now))["k_v1"] == files_view.velocity_design(now).k_v1
+    model = Axis.from_toml(files_view.model_toml(now))
     assert model.controller.kind == "ip_velocity"
-    archive = exports.figures_zip(now, "svg")
-    assert archive == exports.figures_zip(now, "svg")
+    archive = files_view.figures_zip(now, "svg")
+    assert archive == files_view.figures_zip(now, "svg")
     names = zipfile.ZipFile(BytesIO(archive)).namelist()
     assert {"bode_plant_input.svg", "force_loop.svg", "simulation_wall.svg"} <= set(names)
 
 
 def test_no_controller_of_an_unstable_loop_is_handed_out():
     now = state(frequency=300.0, phase_margin_deg=20.0, computation_delay=2)
-    assert not exports.velocity_design(now).sampled.stable
-    assert json.loads(exports.gains_json(now))["sampled"]["stable"] is False
+    assert not files_view.velocity_design(now).sampled.stable
+    assert json.loads(files_view.gains_json(now))["sampled"]["stable"] is False
     with pytest.raises(EmpsError, match="no controller is handed out: the sampled loop with these gains is unstable"):
-        exports.model_toml(now)
+        files_view.model_toml(now)
 
 
 def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):
@@ -469,7 +467,7 @@ def polled(monkeypatch):
             polls[0]()
             time.sleep(0.05)
 
-    monkeypatch.setattr(jobs.pn.state, "add_periodic_callback", lambda poll, period: polls.append(poll) or Callback())
+    monkeypatch.setattr(panes.pn.state, "add_periodic_callback", lambda poll, period: polls.append(poll) or Callback())
     return until_done
 
 
@@ -485,7 +483,7 @@ def test_work_that_never_looks_up_is_cancelled(polled):
     assert job.start(deaf, lambda result: said.append("done"), said.append)
     job.stop()
     polled()
-    assert said == [jobs.CANCELLED]
+    assert said == [panes.CANCELLED]
     assert not job.running
 
 
@@ -603,7 +601,7 @@ def test_labels_and_tables_are_in_the_units_of_the_axis():
 
 
 def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
-    from emps_design.studio.record_work import response_work
+    from emps_design.studio.data_view import response_work
     from tests.unit.frequency_response.cases import experiment, two_mass
 
     stages = []
@@ -616,7 +614,7 @@ def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
 
 def test_the_law_of_a_record_is_shown_and_designed_on(monkeypatch):
     from emps_design.identification import controller
-    from emps_design.studio.record_work import law_work
+    from emps_design.studio.data_view import law_work
 
     axis = machine("emps2019")
     record = synthetic_record(axis, laps=1, stroke=0.1)
@@ -755,7 +753,7 @@ def test_a_number_typed_before_the_last_has_its_answer_is_not_put_back(monkeypat
     session.design.turn("filters", LOW)
     waiting = []
     monkeypatch.setattr(controls, "after_this_event", waiting.append)
-    monkeypatch.setattr(filter_rows, "after_this_event", waiting.append)
+    monkeypatch.setattr(controls, "after_this_event", waiting.append)
     fields, cut_off = session.simulation.fields, session.design.filters.fields[0]["frequency"]
     fields["plants"].field.value, fields["wall"].field.value, cut_off.value = 0, 200.0, "90"  # none answered yet
     for answer in waiting:
@@ -798,7 +796,7 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     assert "position_ripple" not in view.terms.value
     view._start()
     assert view.controller.options == [DESIGN]
-    assert view.found.axis.controller == exports.designed(session.state).controller
+    assert view.found.axis.controller == files_view.designed(session.state).controller
     session.design.turn("frequency", 80.0)
     assert view.found is None
 
@@ -834,7 +832,7 @@ def test_the_report_of_a_state_is_asked_for_what_the_controls_hold(monkeypatch):
 
 def test_pictures_of_a_state_are_in_one_archive_with_the_same_bytes_each_time(monkeypatch):
     run = SimpleNamespace(figures=dict)
-    monkeypatch.setattr("emps_design.studio.simulated.simulate", lambda *_: run)
+    monkeypatch.setattr("emps_design.studio.simulation_view.simulate", lambda *_: run)
     monkeypatch.setattr("emps_design.report.style.svg", lambda figure, key="": f"<svg>{key}</svg>")
     first, second = (figures_zip(state(), "svg") for _ in range(2))
     assert first == second

@@ -22,14 +22,13 @@ from emps_design.report import Section
 from emps_design.report.display import sentence_of
 from emps_design.report.page import inline
 from emps_design.simulation.synthetic import synthetic_record
-from emps_design.studio import exports
+from emps_design.studio import files_view
 from emps_design.studio.app import Session
 from emps_design.studio.compensation_view import CompensationView
-from emps_design.studio.design_tables import laws_table, numbers_table
-from emps_design.studio.design_view import DesignView
-from emps_design.studio.motion import move
-from emps_design.studio.record_work import NAMED_MODEL, diagnose_work
-from emps_design.studio.simulated import simulate
+from emps_design.studio.data_view import NAMED_MODEL, diagnose_work
+from emps_design.studio.design_view import DesignView, laws_table, numbers_table
+from emps_design.studio.motion_view import move
+from emps_design.studio.simulation_view import simulate
 from emps_design.studio.state import State
 from tests.unit.unlike_axes import JOINT
 
@@ -110,13 +109,13 @@ def test_the_design_tab_begins_with_the_worst_loop_that_will_run():
 
 def test_gains_handed_out_say_that_the_kept_position_loop_is_unstable():
     asked = State.of(DRIVE).changed(phase_margin_deg=60.0)
-    slow, fast = (json.loads(exports.gains_json(asked.changed(frequency=f))) for f in (12.0, 100.0))
+    slow, fast = (json.loads(files_view.gains_json(asked.changed(frequency=f))) for f in (12.0, 100.0))
     assert slow["reason"].startswith("the axis file's position loop with kp = 60 is unstable around")
     assert [loop["stable"] for loop in slow["kept_position_loop"]["loops"]][-1] is False
     assert "reason" not in fast
     assert [loop["stable"] for loop in fast["kept_position_loop"]["loops"]][-1] is True
     with pytest.raises(EmpsError, match="no controller is handed out: the axis file's position loop"):
-        exports.model_toml(asked.changed(frequency=12.0))
+        files_view.model_toml(asked.changed(frequency=12.0))
 
 
 def test_an_impedance_law_that_a_coupling_makes_unstable_is_unstable_in_the_design_tab():
@@ -124,7 +123,7 @@ def test_an_impedance_law_that_a_coupling_makes_unstable_is_unstable_in_the_desi
     law = impedance_law(FLEXIBLE, now.mass, now.damping, now.filter)
     assert not extended_loop(FLEXIBLE, law).stable
     assert verdict(law, FrictionModel.of(FLEXIBLE), Clock.of(FLEXIBLE)) != "unstable"  # which knows no coupling
-    flexible, rigid = (laws_table(one, exports.velocity_design(one)) for one in (now, state()))
+    flexible, rigid = (laws_table(one, files_view.velocity_design(one)) for one in (now, state()))
     assert flexible.count('<b class="no">unstable</b>') == 2  # exact, and over-estimated
     assert "unstable" not in rigid
 
@@ -193,7 +192,7 @@ def test_what_was_found_for_a_design_is_withdrawn_where_the_next_is_refused(at_o
     assert not view.download.disabled
     refused = now.changed(filters=SLOW)
     with pytest.raises(EmpsError):
-        exports.designed(refused)
+        files_view.designed(refused)
     view.show(refused)
     assert view.found is None
     assert view.download.disabled
@@ -213,11 +212,11 @@ def test_a_turn_to_a_refused_design_reaches_every_tab(at_once):
 
 
 def test_a_pinned_design_of_another_axis_has_its_name_and_its_unit():
-    joint, carriage = (exports.velocity_design(State.of(axis)) for axis in (JOINT, machine("emps2018")))
+    joint, carriage = (files_view.velocity_design(State.of(axis)) for axis in (JOINT, machine("emps2018")))
     table = numbers_table(state(), carriage, joint)
     assert "<th>pinned, joint</th>" in table
     assert "<code>A/(rad/s)</code>" in table
-    alike = numbers_table(state(), carriage, exports.velocity_design(state(frequency=60.0)))
+    alike = numbers_table(state(), carriage, files_view.velocity_design(state(frequency=60.0)))
     assert "<th>pinned</th>" in alike
     assert "<code>" not in alike
 
@@ -309,7 +308,7 @@ def test_a_record_is_identified_with_its_own_axis_whatever_is_designed_on(short)
     other = machine("emps2018").replace(drive={"force_gain": 70.0})
     session = Session(other, RECORD)
     session.data.machine.value, session.data.filter.value = "emps2019", "paper"
-    page = exports.report_html(session.state, session.data.measured)
+    page = files_view.report_html(session.state, session.data.measured)
     record = page[page.index("<h2>Record") :]
     (mass,) = set(re.findall(r">mass</t.>\s*<td[^>]*>kg</td>\s*<td[^>]*>([\d.]+)</td>", record))
     assert float(mass) == pytest.approx(95.1, abs=1.0)  # twice as much with the other force gain
@@ -319,14 +318,14 @@ def test_a_record_is_identified_with_its_own_axis_whatever_is_designed_on(short)
 
 @pytest.mark.study("a whole report")
 def test_a_record_of_other_units_is_left_out_of_the_report_and_the_page_says_so(short):
-    page = exports.report_html(state(), {"record": RECORD, "record_axis": JOINT, "chain": "paper"})
+    page = files_view.report_html(state(), {"record": RECORD, "record_axis": JOINT, "chain": "paper"})
     assert "The record was made on joint, an axis with other units: this page leaves it out." in page
     assert "<h2>Record" not in page
 
 
 def test_the_report_is_handed_out_with_the_record_its_axis_and_its_filter(at_once, monkeypatch):
     asked = []
-    monkeypatch.setattr(exports, "report_html", lambda now, measured, progress: asked.append(measured) or "page")
+    monkeypatch.setattr(files_view, "report_html", lambda now, measured, progress: asked.append(measured) or "page")
     session = Session(JOINT, RECORD)
     session.data.machine.value, session.data.filter.value = "emps2019", "paper"
     button = session.files.view.select(FileDownload)[0]
@@ -340,7 +339,7 @@ def test_what_the_files_tab_says_is_in_the_units_of_the_axis(at_once, monkeypatc
     def refuse(now, measured, progress):
         raise EmpsError("found a wall of 3 N/m")
 
-    monkeypatch.setattr(exports, "report_html", refuse)
+    monkeypatch.setattr(files_view, "report_html", refuse)
     session = Session(JOINT)
     with pytest.raises(asyncio.CancelledError):
         asyncio.run(session.files.view.select(FileDownload)[0].callback())

@@ -10,13 +10,10 @@ import pytest
 from emps_design.cli.app import run
 from emps_design.errors import RecordError
 from emps_design.identification.controller import AMBIGUOUS, NOT_TOLD, TOLD, identify_law
-from emps_design.identification.controller.deviations import covariance, with_deviations
-from emps_design.identification.controller.filters import Filter
-from emps_design.identification.controller.fit import Fit, fit
+from emps_design.identification.controller.fit import Filter, Fit, covariance, fit, with_deviations
 from emps_design.identification.controller.identify_law import signals_of
-from emps_design.identification.controller.regressors import Timing
-from emps_design.identification.controller.structures import Structure
-from emps_design.identification.controller.tables import numbers_of
+from emps_design.identification.controller.regressors import Structure, Timing
+from emps_design.identification.controller.wording import numbers_of
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.records.layout import Layout

@@ -5,10 +5,8 @@ import pytest
 
 from emps_design.identification.controller import best_law as module
 from emps_design.identification.controller.best_law import best_law
-from emps_design.identification.controller.regressors import Signals, Timing, regressors
-from emps_design.identification.controller.search import Spectrum, best_starts, evaluate
-from emps_design.identification.controller.spectra import cross, transform
-from emps_design.identification.controller.structures import PROPORTIONAL
+from emps_design.identification.controller.regressors import PROPORTIONAL, Signals, Timing, regressors
+from emps_design.identification.controller.search import Spectrum, best_starts, cross, evaluate, transform
 
 
 @pytest.fixture(scope="module")

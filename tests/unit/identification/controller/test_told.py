@@ -8,14 +8,18 @@ import pytest
 from emps_design.errors import InputError
 from emps_design.identification.controller import NOT_TOLD, TOLD, LawEstimate, identify_law
 from emps_design.identification.controller.best_law import Found
-from emps_design.identification.controller.deviations import covariance, with_deviations
-from emps_design.identification.controller.fit import Fit, fit
+from emps_design.identification.controller.fit import Fit, covariance, fit, with_deviations
 from emps_design.identification.controller.identify_law import signals_of
-from emps_design.identification.controller.regressors import Timing, joined
-from emps_design.identification.controller.structures import Structure
-from emps_design.identification.controller.tables import numbers_of
-from emps_design.identification.controller.told import TIMES, disagreement, halves, times_allowed
-from emps_design.identification.controller.wording import in_parts, unlike
+from emps_design.identification.controller.regressors import Structure, Timing, joined
+from emps_design.identification.controller.wording import (
+    TIMES,
+    disagreement,
+    halves,
+    in_parts,
+    numbers_of,
+    times_allowed,
+    unlike,
+)
 from emps_design.laws.estimators import Estimator
 from emps_design.records import Record
 from tests.unit.identification.controller.closed_loop import Loop
@@ -141,7 +145,7 @@ def test_a_law_with_something_no_structure_has_is_close_and_not_told():
 
 
 def test_an_estimator_on_the_command_line():
-    from emps_design.cli.design_options import estimator_given
+    from emps_design.cli.options import estimator_given
 
     assert estimator_given("tracking:1000") == {"kind": "tracking", "bandwidth": 1000.0}
     with pytest.raises(InputError, match="found 'slope:4.5', expected a whole number after slope:"):

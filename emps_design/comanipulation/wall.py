@@ -1,0 +1,248 @@
+"""A push into a wall under an impedance law: rest or bouncing, and the stiffest wall that the law bears.
+
+A push into a wall under an impedance law: does the carriage come to rest against it, or bounce for ever?
+
+The stiffest wall that a law bears with all that makes it cycle: Coulomb compensation, encoder, and mismatch.
+
+The poles of the loop in contact give one limit. Below it the Coulomb compensation, a relay, can keep up an oscillation:
+the describing function predicts it, and a simulation of the whole axis pressed against the wall decides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
+from emps_design.control.impedance.passivity import largest_wall
+from emps_design.control.impedance.robustness import break_away, corner_errors, stacked
+from emps_design.control.impedance.sampled import Clock, Environment, relay_oscillations, sampled_loop
+from emps_design.errors import InputError, SimulationError
+from emps_design.simulation.environment import Hand, Wall
+from emps_design.simulation.plant import Plant
+
+PUSHED = 0.75  # share of the time during which the push lasts; then the hand lets go
+CALM = 0.8  # a swing that shrinks to this share of itself within a second calms down
+
+LOWEST = 1.0 / 16.0  # of the linear limit, softest wall that is tried
+STEP, HALVINGS = math.sqrt(2.0), 3  # of the stiffnesses tried, and how often the last step is halved
+# Share of the push, and speed of arrival over what the push makes itself.
+PUSHES = ((0.5, 3.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0), (2.0, 0.0))
+# A swing that keeps the second share of itself from one sixth of the run to the next does not come to rest, nor does
+# one that keeps the first and decays more slowly than the poles do.
+KEPT, STAYS, SLOWER = 0.3, 0.9, 1.2
+MOST = 100_000  # samples of a run
+
+
+@dataclass(frozen=True)
+class WallContact:
+    """A push of ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], let go at ``release`` [s].
+
+    ``t`` [s], ``q`` [m], ``v`` [m/s], ``push`` [N], ``wall_force`` [N] (negative): arrays (n,),
+    empty where the simulation found the loop unstable and gave up; ``reason`` says so.
+    """
+
+    force: float
+    stiffness: float
+    position: float
+    release: float
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    push: np.ndarray
+    wall_force: np.ndarray
+    reason: str = ""
+
+    @property
+    def touched(self) -> bool:
+        """Whether the carriage came to the wall."""
+        return bool(np.any(self.wall_force < 0.0))
+
+    @property
+    def peak_force(self) -> float | None:
+        """Largest force of the wall [N]; None where the simulation gave up."""
+        return float(-self.wall_force.min()) if self.t.size else None
+
+    @property
+    def swings(self) -> tuple[float, float] | None:
+        """Peak to peak of the position [m] in the last second but one of the push, and in the last."""
+        if not self.touched:
+            return None
+        before, last = (
+            self.q[(self.t >= self.release - start) & (self.t < self.release - start + 1.0)] for start in (2.0, 1.0)
+        )
+        return float(np.ptp(before)), float(np.ptp(last))
+
+    @property
+    def verdict(self) -> str:
+        """``at rest``, ``calming``, ``bouncing``, ``not reached`` or ``unstable``."""
+        if self.reason:
+            return "unstable"
+        if self.swings is None:
+            return "not reached"
+        before, last = self.swings
+        if last == 0.0:
+            return "at rest"
+        return "calming" if last < CALM * before else "bouncing"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Verdict and measures for JSON."""
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "force": self.force,
+            "stiffness": self.stiffness,
+            "position": self.position,
+            "peak_force": self.peak_force,
+            "swings": self.swings,
+        }
+
+
+def push_into_wall(
+    axis: Axis,
+    law: ImpedanceLaw,
+    stiffness: float,
+    force: float = 40.0,
+    position: float = 0.02,
+    duration: float = 12.0,
+) -> WallContact:
+    """Push the carriage with ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], then let go.
+
+    The push lasts three quarters of ``duration`` [s]. The axis is simulated with all its effects. Where the poles of
+    the loop in contact (``sampled_loop`` with an ``Environment``) are unstable, it bounces for ever. Raises
+    :class:`InputError` for a push or a distance that is not above 0.
+
+    >>> from emps_design.control.impedance.law import impedance_law
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018")
+    >>> law = impedance_law(axis, 50.0, 100.0)
+    >>> [push_into_wall(axis, law, stiffness).verdict for stiffness in (1e4, 2e5)]
+    ['at rest', 'bouncing']
+    """
+    for name, value, unit in (("force", force, "N"), ("position", position, "m")):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(f"{name}: found {value:g} {unit}, expected more than 0 {unit}")
+    period = axis.sampling.period
+    n, release = round(duration / period), PUSHED * duration
+    t = np.arange(n) * period
+    push = np.where(t < release, force, 0.0)
+    plant = Plant.of(axis).touched_by(Wall(position, stiffness))
+    try:
+        run = plant.closed_loop(np.zeros(n), disturbance=push, law=law_for(axis, law, period))
+    except SimulationError as error:
+        nothing = np.empty(0)
+        return WallContact(force, stiffness, position, release, nothing, nothing, nothing, nothing, nothing, str(error))
+    wall_force = np.minimum(run.f_ext - push, 0.0)
+    return WallContact(force, stiffness, position, release, t, run.position, run.v, push, wall_force)
+
+
+@dataclass(frozen=True)
+class WallLimit:
+    """Largest stiffness [N/m] of an undamped wall: by the poles, predicted, and simulated with pushes up to 2 ``push``.
+
+    ``linear``: the poles of every corner of the mismatch are stable up to there; ``predicted``: the describing function
+    has no oscillation; ``simulated``: the axis pressed against the wall comes to rest, and so it does after a push into
+    it. 0: not even against a wall of 1/16 of the linear limit. ``errors`` are those of the corner that was simulated.
+    """
+
+    linear: float
+    predicted: float
+    simulated: float
+    push: float
+    errors: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The three limits [N/m], the push [N], and the errors of the estimates."""
+        return asdict(self)
+
+
+def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimit | None:
+    """Find the stiffest wall that ``law`` on ``axis`` bears with estimates off by up to ``mismatch``.
+
+    None where the poles allow every wall up to 1 GN/m. The corner that is simulated is the one at which the describing
+    function has the largest oscillation against half the linear limit.
+
+    >>> from emps_design.control.impedance.law import impedance_law
+    >>> from emps_design.machines import machine
+    >>> axis = machine("emps2018")
+    >>> found = wall_limit(axis, impedance_law(axis, 50.0, 100.0))
+    >>> found.simulated < found.linear
+    True
+    """
+    plant, clock = FrictionModel.of(axis), Clock.of(axis)
+    corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
+    laws = [law.with_errors(errors) for errors in corners]
+    together = law.with_errors(stacked(corners))
+    walls = [largest_wall(one, plant, clock) for one in laws]
+    limits = [wall for wall in walls if wall is not None]
+    if not limits:
+        return None
+    linear = min(limits)
+    if linear == 0.0:
+        return WallLimit(0.0, 0.0, 0.0, 0.0, corners[int(np.argmin([math.inf if w is None else w for w in walls]))])
+    grid = linear * STEP ** np.arange(round(math.log(LOWEST, STEP)), 1)
+
+    def speeds(wall: float) -> np.ndarray:
+        found = relay_oscillations(together, plant, clock, wall)
+        return np.array([0.0 if one is None else one[1] for one in found])
+
+    worst = int(np.argmax(speeds(0.5 * linear) - 1e-6 * np.array([wall or 0.0 for wall in walls])))
+    quiet = [not speeds(wall).any() for wall in grid]
+    predicted = 0.0 if not quiet[0] else float(grid[quiet.index(False) - 1] if False in quiet else linear)
+    push = max(2.3 * break_away(law, plant), 0.1 * abs(complex(law.damping, 5.0 * law.mass)))
+    simulated = _simulated(axis, laws[worst], grid, push)
+    return WallLimit(linear, predicted, min(simulated, linear), push, corners[worst])
+
+
+def _simulated(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
+    low = _resting(axis, law, grid, push)
+    duration = max(12.0, 24.0 * law.mass / law.damping if law.damping > 0.0 else 0.0)
+    duration = min(duration, MOST * axis.sampling.period)
+    while low > 0.0 and push_into_wall(axis, law, low, push, duration=duration).verdict in ("bouncing", "unstable"):
+        low = low / STEP**0.25 if low > grid[0] else 0.0
+    return low
+
+
+def _resting(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
+    """Largest stiffness [N/m] up to which the axis pressed against the wall comes to rest; 0: not at the softest."""
+    low = 0.0
+    for wall in grid:
+        if cycles(axis, law, wall, push):
+            break
+        low = float(wall)
+    else:
+        return low
+    if low == 0.0:
+        return 0.0
+    high = STEP * low
+    for _ in range(HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if cycles(axis, law, middle, push) else (middle, high)
+    return low
+
+
+def cycles(axis: Axis, law: ImpedanceLaw, stiffness: float, push: float) -> bool:
+    """Whether the carriage, pressed against a wall of ``stiffness`` [N/m] with about ``push`` [N], swings for ever."""
+    period, resolution = axis.sampling.period, axis.sampling.encoder_resolution
+    speed = math.sqrt(stiffness * law.mass)
+    decay = law.mass / law.damping if law.damping > 0.0 else 0.0
+    n = int(min(max(18.0 * decay, 60.0 * 2.0 * math.pi * law.mass / speed, 300.0 * period) / period, MOST))
+    plant, compiled, sixth = Plant.of(axis).touched_by(Hand(stiffness=stiffness)), law_for(axis, law, period), n // 6
+    friction, clock, wall = FrictionModel.of(axis), Clock.of(axis), Environment(stiffness=stiffness)
+    radius = max(sampled_loop(law, friction, clock, direction, wall).radius for direction in friction.directions)
+    kept = min(STAYS, max(KEPT, SLOWER * radius**sixth))
+    for direction, (share, arrival) in product(friction.directions, PUSHES):
+        force = np.full(n, direction * share * push)
+        try:
+            q = plant.closed_loop(np.zeros(n), disturbance=force, v0=arrival * force[0] / speed, law=compiled).position
+        except SimulationError:
+            return True
+        before, last = np.ptp(q[-2 * sixth : -sixth]), np.ptp(q[-sixth:])
+        if last > max(kept * before, 4.0 * resolution, 1e-4 * push / stiffness):
+            return True
+    return False

@@ -1,0 +1,507 @@
+"""The plant as a linear system about steady motion: carriage, current loop and every effect's slope.
+
+Each effect enters by its hooks, differentiated at one operating point: forces, dry friction, inertia, own states,
+actuator maps, sensor errors and delays. So whatever ``diagnose`` adds to an axis takes part in a design; what a slope
+cannot show (play, steps in time, injected signals) is named in ``warnings``.
+
+The operating point is where the loop works: in steady motion at a velocity, from position 0 on. What repeats along the
+travel (a ripple) counts with its mean over one repeat, so it is no spring; at a corner (a stop that is just touched)
+the flatter side counts; an actuator counts at the command that the motion takes, and one that cannot give it just
+inside its limit.
+
+States: carriage position and velocity, the states of the effects in their order, and the motor force behind the
+current loop where that has a time constant. Inputs: voltage, and an external force on the carriage (+ pushes to +q).
+
+The static maps between the voltage a controller asks for and the voltage that acts: dead zones, saturations.
+
+A linear design needs the slope where the loop works. In steady motion the voltage that *acts* is known, from the force
+that the motion takes; the command behind it is found by going back through the maps of the axis's effects.
+
+One effect at the operating point of a linear plant: in steady motion, from position 0 on.
+
+What the carriage is attached to, and what a force sensor between the two reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS, Effect, Kernel
+from emps_design.errors import InputError
+from emps_design.quantities import check_magnitude
+
+if TYPE_CHECKING:
+    import control
+
+EDGE = 0.99  # share of the largest voltage that acts at which a saturated map is looked at, from inside
+
+PLACES = 64  # along one repeat of an effect
+SETTLED = 2.0  # s, after which own states that Newton does not bring to rest are near it
+CORNER = 1e-3  # relative difference of the slopes on either side of a place, above which it is a corner
+
+POSITION, VELOCITY = 0, 1
+
+
+@dataclass(frozen=True)
+class ActuatorMap:
+    """What becomes of a command [V] up to ``limit`` [V] on its way through ``maps``, in this order.
+
+    >>> from emps_design.machines import machine
+    >>> deadzone = {"kind": "actuator_deadzone", "width": 0.2}
+    >>> found = ActuatorMap.of(machine("emps2018").replace(effects=[deadzone]))
+    >>> round(found.acting(10.0), 6), round(found.command(0.5), 6), round(found.slope(0.0), 6)
+    (9.8, 0.7, 1.0)
+    """
+
+    limit: float
+    maps: tuple[Callable[[float], float], ...] = ()
+    names: tuple[str, ...] = field(default=(), repr=False)
+
+    @classmethod
+    def of(cls, axis: Axis) -> ActuatorMap:
+        """The maps of the effects of ``axis``, in their order."""
+        found = [(entry.effect, entry.effect.values(entry.parameters)) for entry in axis.effects]
+        found = [(effect, p) for effect, p in found if effect.actuator is not None]
+        maps = tuple(lambda u, effect=effect, p=p: float(effect.actuator(u, p)) for effect, p in found)
+        return cls(axis.drive.command_limit, maps, tuple(effect.name for effect, _ in found))
+
+    def acting(self, command: float) -> float:
+        """The voltage that acts [V] when ``command`` [V] is asked for."""
+        for step in self.maps:
+            command = step(command)
+        return command
+
+    def reach(self, acting: float) -> float:
+        """``acting`` [V], or the largest voltage of its sign that acts within the limit, where that is smaller."""
+        side = -1.0 if acting < 0.0 else 1.0
+        return side * min(abs(acting), abs(self.acting(side * self.limit)))
+
+    def command(self, acting: float) -> float:
+        """The smallest command [V] with which ``acting`` [V] acts, as far as the limit lets it."""
+        if not self.maps:
+            return acting
+        wanted, side = abs(self.reach(acting)), -1.0 if acting < 0.0 else 1.0
+        low, high = 0.0, self.limit
+        for _ in range(100):
+            middle = 0.5 * (low + high)
+            if abs(self.acting(side * middle)) < wanted:
+                low = middle
+            else:
+                high = middle
+        return side * high
+
+    def slope(self, acting: float) -> float:
+        """Change of the acting voltage with the command [V/V] at ``acting`` [V], or just inside the largest."""
+        if not self.maps:
+            return 1.0
+        side = -1.0 if acting < 0.0 else 1.0
+        inside = min(abs(acting), EDGE * abs(self.acting(side * self.limit)))
+        step = 1e-3 * (self.acting(side * self.limit) * side - inside)
+        if step <= 0.0:
+            return 0.0
+        # Away from zero, so that a dead zone is left behind and not straddled.
+        near, far = (self.command(side * (inside + count * step)) for count in (1, 2))
+        return step / abs(far - near)
+
+
+class Member:
+    """One effect at the operating point: its hooks called as plain functions, differentiated by central differences."""
+
+    def __init__(self, effect: Effect, p: np.ndarray, b: np.ndarray):
+        self.effect, self.p, self.b = effect, p, b
+        self.x = np.array(effect.initial(0.0, p, b) if effect.initial else (), dtype=float)
+        self.settled = True
+        names = [parameter.name for parameter in effect.parameters]
+        self.repeat = float(p[names.index(effect.repeats)]) if effect.repeats else 0.0
+        self.places = np.arange(PLACES) / PLACES * self.repeat if effect.repeats else np.zeros(1)
+
+    def settle(self, v: float, tau: float) -> None:
+        """Bring the own states to rest at the operating point; keep the initial ones where that fails."""
+        if self.effect.rate is None:
+            return
+        for begin in (lambda: self.x, lambda: self._after(SETTLED, v, tau)):  # a load within its play moves first
+            x = self._at_rest(begin(), v, tau)
+            scale = np.abs(self._rate_jacobian(v, tau, x)) @ np.abs(x) + abs(v) + 1e-12
+            self.settled = bool(np.all(np.isfinite(x)) and np.all(np.abs(self._rate(0.0, v, tau, x)) <= 1e-6 * scale))
+            if self.settled:
+                self.x = x
+                return
+
+    def _at_rest(self, x: np.ndarray, v: float, tau: float) -> np.ndarray:
+        """Own states that do not change (Newton from ``x``)."""
+        for _ in range(50):
+            step = np.linalg.lstsq(self._rate_jacobian(v, tau, x), -self._rate(0.0, v, tau, x), rcond=None)[0]
+            x = x + step
+            if np.all(np.abs(step) <= 1e-12 + 1e-9 * np.abs(x)):
+                break
+        return x
+
+    def _after(self, seconds: float, v: float, tau: float) -> np.ndarray:
+        """Own states after so long at the operating point."""
+        from scipy.integrate import solve_ivp
+
+        return solve_ivp(lambda t, x: self._rate(0.0, v, tau, x), (0.0, seconds), self.x, "LSODA", rtol=1e-6).y[:, -1]
+
+    def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        """Everything the effect adds to the resisting force while sliding [N], its mean over one repeat."""
+        return float(np.mean([self.force_at(q + place, v, tau, x) for place in self.places]))
+
+    def force_at(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        """Everything the effect adds to the resisting force while sliding at ``q`` [N]."""
+        arguments = (q, v, 0.0, tau, x, self.p, self.b)
+        total = self.effect.force(*arguments) if self.effect.force else 0.0
+        if self.effect.dry:
+            total += np.sign(v) * self.effect.dry(*arguments)
+        if self.effect.takes_dry:
+            total -= np.sign(v) * self.b[COULOMB]
+        return float(total)
+
+    def sensor(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        """What the effect adds to the encoder's reading [m]."""
+        return self._hook(self.effect.sensor, q, v, tau, x)
+
+    def inertia(self, v: float, tau: float) -> float:
+        """What the effect adds to the mass [kg]."""
+        return self._hook(self.effect.inertia, 0.0, v, tau, self.x)
+
+    def delay(self, v: float, tau: float) -> float:
+        """By how much the effect delays the voltage [s]."""
+        return self._hook(self.effect.delay, 0.0, v, tau, self.x)
+
+    def lag(self, v: float, tau: float) -> float:
+        """The time constant [s] with which the motor force follows the voltage."""
+        return self._hook(self.effect.lag, 0.0, v, tau, self.x)
+
+    def _hook(self, hook: Kernel | None, q: float, v: float, tau: float, x: np.ndarray) -> float:
+        return 0.0 if hook is None else float(hook(q, v, 0.0, tau, x, self.p, self.b))
+
+    def slopes(self, function: Callable[..., float], v: float, tau: float) -> tuple[float, float, float, np.ndarray]:
+        """Slopes of ``function(q, v, tau, x)`` over each of the four."""
+        return (
+            self._over_position(lambda q: function(q, v, tau, self.x)),
+            _slope(lambda value: function(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
+            _slope(lambda value: function(0.0, v, value, self.x), tau, 1e-3),
+            np.array([_slope(lambda value: function(0.0, v, tau, value), *at) for at in self._each_state()]),
+        )
+
+    def rate_slopes(self, v: float, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes of the derivatives of the own states over position, velocity, motor force and the states."""
+        return (
+            _slope(lambda q: self._rate(q, v, tau, self.x), 0.0, 1e-6),
+            _slope(lambda value: self._rate(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
+            _slope(lambda value: self._rate(0.0, v, value, self.x), tau, 1e-3),
+            self._rate_jacobian(v, tau, self.x),
+        )
+
+    def _over_position(self, function: Callable[[float], float]) -> float:
+        """Slope of ``function(q)`` [../m]: none where it repeats along the travel, the flatter side's at a corner."""
+        if self.repeat:
+            return 0.0
+        here, step = function(0.0), 1e-6
+        before, after = (here - function(-step)) / step, (function(step) - here) / step
+        if abs(after - before) > CORNER * max(abs(before), abs(after)):
+            return min(before, after, key=abs)
+        return 0.5 * (before + after)
+
+    def steepest(self, v: float, tau: float) -> float:
+        """Largest slope over position [N/m] of a force that repeats along the travel; 0 for any other."""
+        if not self.repeat or not (self.effect.force or self.effect.dry):
+            return 0.0
+        step = 1e-4 * self.repeat
+        slopes = [_slope(lambda q: self.force_at(q, v, tau, self.x), place, step) for place in self.places]
+        return float(np.max(np.abs(slopes)))
+
+    def left_out(self, v: float, tau: float) -> list[str]:
+        """What the slopes of this effect do not show."""
+        effect, warnings = self.effect, []
+        if effect.guard is not None or effect.jump_time is not None:
+            warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
+        if effect.command is not None:
+            warnings.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
+        if not self.settled:
+            warnings.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
+        if self.repeat:
+            where = f"{effect.name}: repeats every {self.repeat:.4g} m, {abs(v) / self.repeat:.4g} Hz at {v:g} m/s"
+            at_place, what = self.force_at, "a disturbance of +-{:.3g} N, not a spring"
+            if effect.sensor is not None:
+                at_place, what = self.sensor, "an error of the reading of +-{:.3g} m, not a gain"
+            size = 0.5 * float(np.ptp([at_place(q, v, tau, self.x) for q in self.places]))
+            warnings.append(f"{where}; its slope averages out there: in the linear design it is {what.format(size)}")
+        return warnings
+
+    def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:
+        dx = np.zeros(self.x.size)
+        if self.effect.rate is not None:
+            self.effect.rate(q, v, 0.0, tau, x, self.p, self.b, self.b[COULOMB], dx)
+        return dx
+
+    def _rate_jacobian(self, v: float, tau: float, x: np.ndarray) -> np.ndarray:
+        columns = [_slope(lambda value: self._rate(0.0, v, tau, value), *at) for at in self._each_state(x)]
+        return np.array(columns).T.reshape(self.x.size, self.x.size)
+
+    def _each_state(self, x: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield (x, step vector) for a central difference in each own state."""
+        x = self.x if x is None else x
+        for place in range(x.size):
+            step = np.zeros(x.size)
+            step[place] = max(1e-9, 1e-4 * abs(x[place]))
+            yield x, step
+
+
+def _slope(function: Callable[[Any], Any], at: Any, step: Any) -> Any:
+    """Central difference of ``function`` at ``at``; ``step`` is a number, or a vector with one entry that is not 0."""
+    return (function(at + step) - function(at - step)) / (2.0 * np.max(step))
+
+
+@dataclass(frozen=True)
+class LinearPlant:
+    """dx/dt = A x + B u(t - delay) + E f_ext, encoder reading C x; SI units.
+
+    ``state`` names the states, ``mass`` [kg] and ``viscous`` [N/(m/s)] are the carriage's own inertia and slope of
+    friction at the operating point, ``steepest`` [N/m] the largest slope over position of what averages out along the
+    travel, ``warnings`` names what the slopes leave out. Arrays may have leading axes, for many plants at once.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    E: np.ndarray
+    C: np.ndarray
+    delay: float
+    mass: Any
+    viscous: Any
+    state: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    steepest: float = 0.0
+
+    @property
+    def in_slow_motion(self) -> tuple[float, float]:
+        """Mass [kg] and slope of friction [N/(m/s)] of all that moves, a load behind a coupling too; of a single plant.
+
+        From the force over the velocity of the carriage in powers of s: its constant, and what multiplies s. What
+        depends on position is left out.
+
+        >>> mass, slope = rigid_plant(2.0, 6.0).in_slow_motion
+        >>> round(mass, 9), round(slope, 9)
+        (2.0, 6.0)
+        """
+        A, E = self.A[VELOCITY:, VELOCITY:].copy(), self.E[VELOCITY:]
+        more = float(self.mass)  # N/(m/s) of friction on top, for a plant that has none
+        A[0, 0] -= E[0] * more
+        moves = np.linalg.lstsq(A, E, rcond=None)[0]  # a load within its play does not move
+        speed, slower = -moves[0], -np.linalg.lstsq(A, moves, rcond=None)[0][0]
+        return float(-slower / speed**2), float(1.0 / speed - more)
+
+    def to_ss(self) -> control.StateSpace:
+        """The plant as a continuous ``control.StateSpace`` from voltage and force to encoder and velocity.
+
+        Its pure ``delay`` is not in it; that of :class:`~emps_design.control.discretisation.SampledPlant` has it.
+        """
+        import control
+
+        C = np.array([self.C, np.eye(self.C.size)[VELOCITY]])
+        B = np.column_stack([self.B, self.E])
+        names = {"inputs": ["voltage", "force"], "outputs": ["encoder", "velocity"], "states": list(self.state)}
+        return control.ss(self.A, B, C, np.zeros((2, 2)), **names, name="plant")
+
+
+def rigid_plant(
+    mass: float | np.ndarray,
+    viscous: float | np.ndarray,
+    force_gain: float = 1.0,
+    current_time_constant: float = 0.0,
+) -> LinearPlant:
+    """The plant without effects: ``mass`` [kg] and ``viscous`` friction [N/(m/s)], arrays (m,) for m plants.
+
+    ``force_gain`` G_tau [N/V]; ``current_time_constant`` [s] of the current loop, 0: ideal.
+
+    >>> rigid_plant(2.0, 6.0, 10.0).B.tolist()
+    [0.0, 5.0]
+    """
+    mass, viscous = np.broadcast_arrays(np.asarray(mass, dtype=float), np.asarray(viscous, dtype=float))
+    lag = current_time_constant
+    size = 3 if lag > 0.0 else 2
+    A, B, E = np.zeros((*mass.shape, size, size)), np.zeros((*mass.shape, size)), np.zeros((*mass.shape, size))
+    A[..., POSITION, VELOCITY] = 1.0
+    A[..., VELOCITY, VELOCITY] = -viscous / mass
+    E[..., VELOCITY] = 1.0 / mass
+    if lag > 0.0:
+        A[..., VELOCITY, -1] = 1.0 / mass
+        A[..., -1, -1], B[..., -1] = -1.0 / lag, force_gain / lag
+    else:
+        B[..., VELOCITY] = force_gain / mass
+    names = ("position", "velocity", "motor_force")[:size]
+    return LinearPlant(A, B, E, np.eye(size)[POSITION], 0.0, mass, viscous, names)
+
+
+def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
+    """Return the plant of ``axis`` linearised in steady motion at ``velocity`` [m/s], from position 0 on.
+
+    Away from zero velocity Coulomb friction is a constant and drops out. Raises :class:`InputError` at velocity 0.
+
+    >>> from emps_design.machines import machine
+    >>> plant = linear_plant(machine("emps2019"))
+    >>> plant.A.tolist()[1] == [0.0, -203.5034 / 95.1089]
+    True
+    """
+    if not np.isfinite(velocity) or velocity == 0.0:
+        raise InputError(
+            f"velocity: found {velocity:g} m/s, expected a number other than 0: friction has no slope there"
+        )
+    check_magnitude("velocity", velocity, "m/s")
+    b, braking, members = axis.mechanics.array(), axis.drive.braking, list[Member]()
+    for entry in axis.effects:
+        p = entry.effect.values(entry.parameters)
+        if entry.effect.winding and entry.effect.slopes is not None:
+            braking += entry.effect.slopes(p)[0]
+        else:
+            members.append(Member(entry.effect, p, b))
+    gain, lag = axis.drive.gain, axis.drive.current_time_constant
+    warnings: list[str] = []
+
+    # Without what a back-EMF brakes: the effects see the force that the winding's current makes.
+    tau = b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET]
+    for _ in range(20):  # the effects' forces need the motor force, which needs their forces
+        for member in members:
+            member.settle(velocity, tau)
+        previous, tau = tau, _steady_force(members, b, velocity, tau)
+        if abs(tau - previous) <= 1e-9 * max(1.0, abs(tau)):
+            break
+
+    sizes = [member.x.size for member in members]
+    count = 2 + sum(sizes) + (lag > 0.0)
+    A, B, E = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+    C = np.zeros(count)
+    A[POSITION, VELOCITY] = C[POSITION] = 1.0
+
+    actuator = ActuatorMap.of(axis)
+    needed = (tau + braking * velocity) / gain
+    slope = gain * actuator.slope(needed)
+    if slope == 0.0:
+        raise InputError(f"effects: with {' and '.join(actuator.names)} no voltage acts, expected one within the limit")
+    if abs(actuator.reach(needed)) < abs(needed):
+        where = (
+            "linearised just inside that, where the loop can work" if actuator.maps else "the loop works when slower"
+        )
+        warnings.append(
+            f"{' and '.join(actuator.names) or 'limit of the command'}: steady motion at {velocity:g} m/s takes "
+            f"{needed:.3g} V and only {actuator.reach(needed):.3g} V act; {where}"
+        )
+    firsts = [2 + sum(sizes[:i]) for i in range(len(sizes))]  # of each member's states
+    lags = [(-1, lag)] * (lag > 0.0)
+    lags += [(first, one.lag(velocity, tau)) for first, one in zip(firsts, members, strict=True) if one.effect.lag]
+    force_row, force_in = np.zeros(count), slope  # d(motor force behind the lags)/d(state) and /d(voltage)
+    for place, constant in lags:
+        A[place], B[place] = force_row / constant, force_in / constant
+        A[place, place] -= 1.0 / constant
+        force_row, force_in = np.eye(count)[place], 0.0
+
+    mass = b[MASS]
+    drag = np.zeros(count)  # d(resisting forces)/d(state)
+    drag[VELOCITY] = b[VISCOUS] + braking
+    drag_tau = 0.0
+    for member, first, size in zip(members, firsts, sizes, strict=True):
+        if member.effect.lag:
+            continue
+        own = slice(first, first + size)
+        mass += member.inertia(velocity, tau)
+        d_q, d_v, d_tau, d_x = member.slopes(member.force, velocity, tau)
+        drag[POSITION] += d_q
+        drag[VELOCITY] += d_v - d_tau * braking
+        drag[own] += d_x
+        drag_tau += d_tau
+        if size:
+            r_q, r_v, r_tau, r_x = member.rate_slopes(velocity, tau)
+            A[own, POSITION], A[own, VELOCITY] = r_q, r_v - r_tau * braking
+            A[own, own] += r_x
+            A[own, :] += np.outer(r_tau, force_row)
+            B[own] += r_tau * force_in
+        s_q, s_v, _, s_x = member.slopes(member.sensor, velocity, tau)
+        C[POSITION] += s_q
+        C[VELOCITY] += s_v
+        C[own] += s_x
+        warnings += member.left_out(velocity, tau)
+    if not mass > 0.0:
+        kinds = " and ".join(entry.kind for entry in axis.effects)
+        raise InputError(
+            f"effects: {mass:.4g} kg are left on the encoder's side of {kinds}, expected shares that leave some"
+        )
+    A[VELOCITY] = ((1.0 - drag_tau) * force_row - drag) / mass
+    B[VELOCITY] = (1.0 - drag_tau) * force_in / mass
+    E[VELOCITY] = 1.0 / mass
+    names = ["position", "velocity"]
+    names += [f"{member.effect.name}.{state.name}" for member in members for state in member.effect.states]
+    names += ["motor_force"] if lag > 0.0 else []
+    delay = sum(member.delay(velocity, tau) for member in members)
+    steepest = sum(member.steepest(velocity, tau) for member in members)
+    return LinearPlant(A, B, E, C, delay, float(mass), float(drag[VELOCITY]), tuple(names), tuple(warnings), steepest)
+
+
+def _steady_force(members: list[Member], b: np.ndarray, v: float, tau: float) -> float:
+    """Motor force that keeps the carriage at ``v`` [N]."""
+    forces = sum(member.force(0.0, v, tau, member.x) for member in members)
+    return float(b[VISCOUS] * v + np.sign(v) * b[COULOMB] + b[OFFSET] + forces)
+
+
+@dataclass(frozen=True)
+class Environment:
+    """What the carriage is attached to: added mass [kg], damping [N/(m/s)] and stiffness to ground [N/m].
+
+    A passive hand is ``tau_e = -(mass qdd + damping qd + stiffness q)``; a stiff wall has stiffness alone.
+    """
+
+    mass: float | np.ndarray = 0.0
+    damping: float | np.ndarray = 0.0
+    stiffness: float | np.ndarray = 0.0
+
+
+FREE = Environment()
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What the force sensor reads at a sample: ``state`` (..., n) x + ``voltage`` u + ``force`` f_ext [N].
+
+    ``u`` is the voltage that acted until then, f_ext the force from outside, held from then on.
+    """
+
+    state: np.ndarray
+    voltage: np.ndarray | float = 0.0
+    force: np.ndarray | float = 1.0
+
+
+def attached(plant: LinearPlant, environment: Environment) -> LinearPlant:
+    """Return ``plant`` with the ``environment`` on its carriage; arrays (m,) in it make m plants.
+
+    >>> from emps_design.control.linear_plant import rigid_plant
+    >>> attached(rigid_plant(2.0, 6.0), Environment(mass=1.0, stiffness=30.0)).A.tolist()
+    [[0.0, 1.0], [-10.0, -2.0]]
+    """
+    share = np.asarray(plant.E[..., VELOCITY] / (plant.E[..., VELOCITY] * environment.mass + 1.0))
+    share = share / plant.E[..., VELOCITY]  # of the force that is left to the carriage's own mass
+    shape = np.broadcast_shapes(share.shape, np.shape(environment.damping), np.shape(environment.stiffness))
+    A = np.broadcast_to(plant.A, (*shape, *plant.A.shape[-2:])).copy()
+    B, E = (np.broadcast_to(x, (*shape, x.shape[-1])).copy() for x in (plant.B, plant.E))
+    A[..., VELOCITY, :] *= share[..., None]
+    B[..., VELOCITY] *= share
+    E[..., VELOCITY] *= share
+    A[..., VELOCITY, POSITION] -= E[..., VELOCITY] * environment.stiffness
+    A[..., VELOCITY, VELOCITY] -= E[..., VELOCITY] * environment.damping
+    return replace(plant, A=A, B=B, E=E)
+
+
+def felt(plant: LinearPlant, environment: Environment) -> Felt:
+    """What a sensor between the carriage of ``plant``, as :func:`attached`, and the ``environment`` reads.
+
+    All of the environment's force, inertia included, and the force from outside.
+    """
+    mass = np.asarray(environment.mass)
+    state = -mass[..., None] * plant.A[..., VELOCITY, :]
+    state = np.broadcast_to(state, np.broadcast_shapes(state.shape, plant.A.shape[:-1])).copy()
+    state[..., POSITION] -= environment.stiffness
+    state[..., VELOCITY] -= environment.damping
+    return Felt(state, -mass * plant.B[..., VELOCITY], 1.0 - mass * plant.E[..., VELOCITY])

@@ -1,1 +1,0 @@
-"""Sampled loops and their margins."""

@@ -1,1 +1,0 @@
-"""The linear plant, continuous and sampled."""

@@ -1,0 +1,245 @@
+"""What counts as a finding: beyond chance, on strokes the fit has not seen, in most of them, and worth having.
+
+What chance alone does to the search: the healthy reference that a finding must beat.
+
+In the whitened residual a healthy drive is white noise less what refitting the baseline absorbs. The signatures of all
+effects at all their starts, simulated in closed loop with their states, are laid over resampled noise: the largest
+gain over all candidates, in each of many resamples, is what "nothing is missing" looks like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.fit import Fit, refitted
+from emps_design.discrepancy.least_squares import Candidate
+from emps_design.discrepancy.noise_floor import Floor, usual_rms
+from emps_design.discrepancy.parallel import CORES, side_by_side
+from emps_design.discrepancy.problem import Hypothesis
+from emps_design.discrepancy.records import START_UP
+from emps_design.discrepancy.starts import Start
+
+RESAMPLES = 199
+TOGETHER = 50  # of them, laid over the signatures at a time: these are many megabytes to read
+BLOCK = 250  # samples of noise kept together, so that what correlation the whitening left stays in
+
+Accept = Callable[[Fit, Fit], bool]  # whether the first, with one effect more, is a finding over the second
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """Largest gains (n_resamples,) in whitened cost over all candidates, sorted.
+
+    ``searched``: each is that of a whole simulated record, searched like the real one.
+    """
+
+    largest: np.ndarray
+    searched: bool = False
+
+    @property
+    def threshold(self) -> float:
+        """The gain that a share ``rules.LEVEL`` of healthy records reaches [whitened cost]."""
+        rank = int(np.ceil((1 - rules.LEVEL) * (self.largest.size + 1)))
+        return float(self.largest[min(rank, self.largest.size) - 1])
+
+    def p_value(self, gain: float) -> float:
+        """Share of healthy records, this one included, whose largest gain is at least ``gain``.
+
+        >>> healthy = Healthy(np.array([1.0, 2.0, 3.0]))
+        >>> healthy.p_value(2.0), healthy.p_value(5.0)
+        (0.75, 0.25)
+        """
+        return float((1 + np.sum(self.largest >= gain)) / (1 + self.largest.size))
+
+
+def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int) -> Healthy:
+    """Lay the signatures of ``screened`` over resampled noise ``draws`` (m,), circular blocks of it."""
+    if not screened:  # nothing was tried, so nothing can be gained by chance
+        return Healthy(np.zeros(RESAMPLES))
+    generator = np.random.default_rng(seed)
+    signatures = [start.signature for found in screened for start in found]  # free of what is absorbed
+    halves = [(np.array(signatures[place::CORES]),) for place in range(min(CORES, len(signatures)))]
+    largest, n = np.empty(RESAMPLES), signatures[0].size
+    for start in range(0, RESAMPLES, TOGETHER):
+        some = range(start, min(start + TOGETHER, RESAMPLES))
+        drawn = [(draws, n, *blocks(draws.size, n, generator)) for _ in some]
+        noise = np.array(side_by_side(resampled, drawn))
+        gains = side_by_side(lambda half, noise=noise: np.max((noise @ half.T) ** 2, axis=1), halves)
+        largest[some] = np.max(gains, axis=0)
+    return Healthy(np.sort(largest))
+
+
+def blocks(m: int, n: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Where the blocks of ``n`` samples out of ``m`` begin, and a random sign of each."""
+    count = -(-n // BLOCK)
+    return generator.integers(0, m, count), generator.choice((-1.0, 1.0), count)
+
+
+def resampled(draws: np.ndarray, n: int, begins: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """``n`` innovations in circular blocks of ``draws`` (m,), as :func:`blocks` drew them."""
+    rings = sliding_window_view(np.concatenate((draws, draws[:BLOCK])), BLOCK)
+    return (rings[begins] * signs[:, None]).ravel()[:n]
+
+
+@dataclass(frozen=True)
+class Judge:
+    """The rules applied to a noise floor and a healthy reference."""
+
+    floor: Floor
+    healthy: Healthy
+
+    def accepts(self, better: Fit, worse: Fit) -> bool:
+        """Whether ``better``, with one effect more, is a finding over ``worse``."""
+        burst, worth = self._demands(worse)
+        gained = float(worse.problem.gather(_changes(better, worse, burst), "used").sum())
+        return (
+            worse.cost_fit - better.cost_fit > self.healthy.threshold
+            and gained > worth * _cost(worse, "used", burst)
+            and _seen_again(better, worse, burst)
+            and share_of_strokes(better, worse, burst) >= rules.STROKES
+            and self._faint(better.model) is None
+        )
+
+    def to_beat(self, worse: Fit) -> float:
+        """The gain on the fitting part [whitened cost] beyond which an effect added to ``worse`` is looked at."""
+        burst, worth = self._demands(worse)
+        return max(self.healthy.threshold, worth * _cost(worse, "fit", burst))
+
+    def refitted(self, hypothesis: Hypothesis) -> Fit:
+        """A model fitted to all that may be used, without the effects whose force is lost in the noise by then."""
+        fitted = refitted(hypothesis)
+        while (faint := self._faint(fitted.model)) is not None:
+            fitted = refitted(fitted.with_model(fitted.model.without(faint)))
+        return fitted
+
+    def at_floor(self, fitted: Fit) -> bool:
+        """Whether ``fitted`` leaves nothing but noise on both parts."""
+        parts = ("fit", "select")
+        quiet = (_cost(fitted, part) <= rules.AT_FLOOR * fitted.problem.samples(part) for part in parts)
+        return all(quiet) and not self.leaves_force(fitted)
+
+    def leaves_structure(self, fitted: Fit) -> bool:
+        """Whether ``fitted`` leaves more than noise could be."""
+        if any(effect.channel == "controller" for effect in fitted.model.effects):
+            # The edges of what the controller adds are known to a sample, and a sample missed is a burst.
+            return self.leaves_unexplained(fitted)
+        return self._more_than_noise(fitted, np.inf)
+
+    def leaves_unexplained(self, fitted: Fit) -> bool:
+        """Whether ``fitted`` leaves more than noise could be even where bursts count little, as of play."""
+        return self._more_than_noise(fitted, rules.BURST)
+
+    def _more_than_noise(self, fitted: Fit, burst: float) -> bool:
+        cost = _cost(fitted, "used", burst)
+        return cost > rules.STRUCTURED * fitted.problem.samples("used") or self.leaves_force(fitted)
+
+    def _demands(self, worse: Fit) -> tuple[float, float]:
+        """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""
+        if self.at_floor(worse):
+            return rules.BURST_AT_FLOOR, rules.WORTH_AT_FLOOR
+        return rules.BURST, rules.WORTH
+
+    def _faint(self, model: Candidate) -> int | None:
+        """The first effect whose amplitude is a force far below the noise, or a share that is next to none."""
+        for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
+            least = {"N": rules.AUDIBLE * self.floor.force, "": rules.LEAST_AMPLITUDE}
+            sizes: dict[str, list[float]] = {unit: [] for unit in least}
+            for place, parameter in enumerate(effect.parameters):
+                if parameter.linear and parameter.unit in sizes:
+                    unit = parameter.scale if parameter.unit == "" else 1.0
+                    sizes[parameter.unit].append(float(np.abs(values[:, place]).max()) / unit)
+            if any(found and max(found) < least[unit] for unit, found in sizes.items()):
+                return index
+        return None
+
+    def leaves_force(self, fitted: Fit) -> bool:
+        """Whether the force left is more than noise, however it looks once it is whitened.
+
+        The noise's own model may hold structure: that of the residual it was made of, or, where a drift makes laps
+        differ, the drift's.
+        """
+        return bool(usual_rms(_force_left(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2)
+
+
+def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
+    """Share of improvement in what the selecting strokes change: gains over gains and losses, stroke by stroke.
+
+    Weighted, because a record may have two selecting strokes only; a loss within chance is none. No sample counts more
+    than ``burst`` deviations.
+    """
+    gains, losses = 0.0, 0.0
+    for change, split in zip(_changes(better, worse, burst), better.problem.splits, strict=True):
+        for start, stop in split.strokes:
+            seen = split.select[start:stop]
+            if seen.sum() > START_UP:
+                gain = float(change[start:stop][seen].sum())
+                gains += max(gain, 0.0)
+                losses += max(-gain - rules.CHANCE * np.sqrt(2.0 * seen.sum()), 0.0)
+    return gains / (gains + losses) if gains > 0 else 0.0
+
+
+def force_rms(fitted: Fit) -> float:
+    """Rms [N] of measured minus simulated force on the used samples, its mean removed as the floor's is."""
+    return float(np.std(np.concatenate(_force_left(fitted))))
+
+
+def explained(before: float, after: float, floor: float) -> float:
+    """Share of the force gap over the floor that is closed: 1 - (after^2 - floor^2)/(before^2 - floor^2).
+
+    >>> explained(5.0, 3.0, 3.0)
+    1.0
+    """
+    excess = before**2 - floor**2
+    return 1 - (after**2 - floor**2) / excess if excess > 0 else 0.0
+
+
+def _bulk(fitted: Fit, model: Fit, burst: float) -> tuple[np.ndarray, ...]:
+    """Squared innovations (n,) per record, less where ``model`` lets noise grow, ``burst``^2 at most.
+
+    Play that bounces, or an instant missed by a sample, leaves bursts that any effect can rearrange by luck; so
+    does noise where a saturated loop lets it grow.
+    """
+    pairs = zip(fitted.innovations, model.loudness, strict=True)
+    return tuple(np.minimum((innovations / loudness) ** 2, burst**2) for innovations, loudness in pairs)
+
+
+def _cost(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
+    """Cost on ``part`` in which neither bursts count much nor what noise becomes where the model lets it grow."""
+    return float(fitted.problem.gather(_bulk(fitted, fitted, burst), part).sum())
+
+
+def _changes(better: Fit, worse: Fit, burst: float) -> tuple[np.ndarray, ...]:
+    """What ``better`` saves of every sample's cost, (n,) per record."""
+    both = zip(_bulk(worse, worse, burst), _bulk(better, worse, burst), strict=True)
+    return tuple(before - after for before, after in both)
+
+
+def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
+    """Whether the selecting part gains what the fitting part of each record, or of all, leads to expect.
+
+    Or what ``better`` changes there, which is what a true effect gains: one that fades acts less on later strokes.
+    """
+    gained = expected = moved = 0.0
+    n = better.problem.samples("select")
+    changes = _changes(better, worse, burst)
+    overall = better.problem.gather(changes, "fit")
+    for split, change, after, before, loudness in zip(
+        better.problem.splits, changes, better.innovations, worse.innovations, worse.loudness, strict=True
+    ):
+        gained += float(change[split.select].sum())
+        moved += float(np.sum(np.minimum(((after - before) / loudness)[split.select] ** 2, burst**2)))
+        fitted = change[split.fit] if split.fit.any() else overall
+        expected += float(fitted.mean()) * int(split.select.sum())
+    beyond_chance = gained > rules.CHANCE * np.sqrt(2.0 * n)
+    return gained > rules.SEEN_AGAIN * (min(expected, moved) if beyond_chance else expected)
+
+
+def _force_left(fitted: Fit) -> list[np.ndarray]:
+    """Measured minus simulated force [N] on the used samples, (n_used,) per record, without simulating again."""
+    problem = fitted.problem
+    return problem.pick(tuple(map(problem.whitening.undo, fitted.innovations)), "used")

@@ -1,1 +1,0 @@
-"""Diagnosis of records whose loop cannot be simulated: forces balanced along the motion as it was measured."""

@@ -1,0 +1,309 @@
+"""The second stage: the fitted baseline, the noise it is judged by, and what chance alone would gain.
+
+Noise where no reference repeats: what a stroke does that a regression on the other strokes does not predict.
+
+The changes that the baseline's own numbers make in the force are the columns of a ridge regression; the changes that
+the starts of an effect make, and smooth functions of the simulated state and its past, join it where that pays. It is
+fitted without one stroke and judged on that stroke, in turn, so that no noise is explained by having been seen. What is
+left holds the noise, and the structure that none of this follows: far less than the residual of the baseline alone.
+
+The healthy reference by brute force: simulated healthy records, each searched like the real one.
+
+:mod:`~emps_design.discrepancy.acceptance` lays signatures over resampled noise, which takes no time and
+leaves out that proposals, too, adapt to the noise. Here the fitted baseline is simulated, resampled noise is laid over
+its voltage, and baseline fit, proposals, screening and fits run as on the record itself: one search per record.
+
+What a search found, on what it was judged by, and what it tried besides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.acceptance import Healthy, Judge, blocks, healthy_reference, resampled
+from emps_design.discrepancy.extension import extensions
+from emps_design.discrepancy.fit import Fit, fit
+from emps_design.discrepancy.noise_floor import STROKES, Floor, floor_of_laps, floor_of_residual
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.preparation import Preparation
+from emps_design.discrepancy.problem import Hypothesis, of_unit_length
+from emps_design.discrepancy.starts import Start, by_signature, screen, tangent, told
+from emps_design.discrepancy.unknown_force import Kind, states_of
+from emps_design.effects import Effect
+from emps_design.errors import SimulationError
+from emps_design.progress import Progress
+from emps_design.simulation import Plant
+
+RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on strokes not seen
+MOST_SAMPLES, MOST_STROKES = 60_000, 100  # of whole strokes, evenly taken where there are more
+
+BASELINE_STEPS = 20  # of the baseline's fit, which starts from the axis file
+
+FitsBySet = dict[frozenset[str], Fit]
+
+
+def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
+    """Force [N] of the used samples that the other strokes do not predict of each, one array per record.
+
+    ``fitted`` is the baseline, judged without whitening: its innovations are forces.
+    """
+    problem = fitted.problem
+    rows = _evenly(problem.strokes("used"))
+    kept = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
+    adjusted = tangent(fitted, "used")
+    base = adjusted.whole[kept]
+
+    def changes(found: list[Start]) -> np.ndarray:
+        columns = [np.empty((base.size, 0))]
+        for start in found:
+            with suppress(SimulationError):
+                columns.append(of_unit_length((start.hypothesis.residual("used")[kept] - base)[:, None]))
+        return np.column_stack(columns)
+
+    def smooth() -> np.ndarray:
+        return of_unit_length(problem.gather(states_of(fitted), "used")[kept])
+
+    screened = screen(fitted, library, tangent(fitted))
+    groups = side_by_side(lambda group: group(), [(smooth,), *((partial(changes, found),) for found in screened)])
+    edges = np.cumsum([0, *(stroke.stop - stroke.start for stroke in rows)])
+    strokes = [slice(start, stop) for start, stop in pairwise(edges)]
+    left = _left_by_others(of_unit_length(adjusted.basis[kept]), groups, base, strokes)
+    records = np.cumsum([split.used.sum() for split in problem.splits])
+    return tuple(part for part in np.split(left, np.searchsorted(kept, records[:-1])) if part.size)
+
+
+def _evenly(strokes: list[slice]) -> list[slice]:
+    """Every so many of ``strokes``, so that the regression of a long record stays small."""
+    samples = sum(stroke.stop - stroke.start for stroke in strokes)
+    return strokes[:: max(1, -(-samples // MOST_SAMPLES), -(-len(strokes) // MOST_STROKES))]
+
+
+def _left_by_others(known: np.ndarray, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]) -> np.ndarray:
+    """``force`` (n,) less what columns predict of each stroke from all others.
+
+    The columns (n, k) are those ``known`` and of the ``groups``, one after the other, the one that leaves least, as
+    long as it shows that what was left was no noise.
+    """
+    regression = _Regression([known, *groups], force, strokes)
+    edges = np.cumsum([0, known.shape[1], *(group.shape[1] for group in groups)])
+    own, *others = (np.arange(start, stop) for start, stop in pairwise(edges))
+    best = regression.best(own)
+    while others:
+        trials = side_by_side(regression.best, [(np.concatenate([best.columns, other]),) for other in others])
+        place = int(np.argmin([trial.squares for trial in trials]))
+        if trials[place].squares > rules.FINER**2 * best.squares:
+            break
+        best = trials[place]
+        del others[place]
+    return regression.left(best)
+
+
+class _Predictor(NamedTuple):
+    """Some ``columns``, by place, with the ``ridge`` that leaves the least ``squares`` of strokes not seen."""
+
+    columns: np.ndarray
+    ridge: float
+    squares: float
+
+
+class _Regression:
+    """Of a force (n,) on ``groups`` of columns (n, k), fitted without each of the strokes and judged on it.
+
+    By sums of products along each stroke.
+    """
+
+    def __init__(self, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]) -> None:
+        self.groups, self.force, self.strokes = groups, force, strokes
+        sums = side_by_side(self._sums, [(stroke,) for stroke in strokes])
+        self.squares, self.products = (np.array(one) for one in zip(*sums, strict=True))
+        self.power = float(force @ force)
+
+    def best(self, columns: np.ndarray) -> _Predictor:
+        """``columns`` with the best of the ridges."""
+        own, along = self.squares[:, columns[:, None], columns], self.products[:, columns]
+        costs = []
+        for ridge in RIDGES:
+            x = self._coefficients(own, along, ridge)
+            costs.append(self.power + float(np.einsum("si,sij,sj", x, own, x) - 2.0 * np.sum(x * along)))
+        least = int(np.argmin(costs))
+        return _Predictor(columns, RIDGES[least], costs[least])
+
+    def left(self, found: _Predictor) -> np.ndarray:
+        """Force (n,) [N] that ``found`` does not predict."""
+        own, along = self.squares[:, found.columns[:, None], found.columns], self.products[:, found.columns]
+        coefficients = self._coefficients(own, along, found.ridge)
+
+        def along_one(stroke: slice, x: np.ndarray) -> np.ndarray:
+            return self.force[stroke] - self._columns(stroke)[:, found.columns] @ x
+
+        return np.concatenate(side_by_side(along_one, zip(self.strokes, coefficients, strict=True)))
+
+    def _columns(self, stroke: slice) -> np.ndarray:
+        """All columns along one stroke."""
+        return np.column_stack([group[stroke] for group in self.groups])
+
+    def _sums(self, stroke: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Squares (k, k) of the columns along one stroke, and their products (k,) with the force."""
+        columns = self._columns(stroke)
+        return columns.T @ columns, columns.T @ self.force[stroke]
+
+    @staticmethod
+    def _coefficients(own: np.ndarray, along: np.ndarray, ridge: float) -> np.ndarray:
+        """Those fitted to all strokes but one, (strokes, k)."""
+        square = own.sum(axis=0)
+        keep = ridge * np.trace(square) / len(square) * np.eye(len(square))
+        return np.linalg.solve(square - own + keep, (along.sum(axis=0) - along)[:, :, None])[:, :, 0]
+
+
+def healthy_runs(
+    baseline: Fit,
+    library: tuple[Effect, ...],
+    floor: Floor,
+    runs: int,
+    seed: int,
+    progress: Callable[[float], None],
+) -> Healthy:
+    """Return the largest gain [whitened cost] of any effect of ``library`` on each of ``runs`` healthy records."""
+    generator, largest = np.random.default_rng(seed), np.empty(runs)
+    for i in range(runs):
+        alone = fit(_healthy_records(baseline, floor, generator))
+        absorbed = tangent(alone)
+        found, gains = extensions(alone, screen(alone, library, absorbed), absorbed)
+        largest[i] = max([0.0, *gains.values(), *(alone.cost_fit - f.cost_fit for f in found)])
+        progress(0.1 * (i + 1) / runs)
+    return Healthy(np.sort(largest), searched=True)
+
+
+def _healthy_records(baseline: Fit, floor: Floor, generator: np.random.Generator) -> Hypothesis:
+    """The baseline, and what it would have recorded with resampled noise over its voltage."""
+    gain, records = baseline.problem.axis.drive.gain, []
+    for record, run in zip(baseline.problem.records, baseline.runs(), strict=True):
+        noise = floor.whitening.undo(
+            resampled(floor.draws, len(record), *blocks(floor.draws.size, len(record), generator))
+        )
+        records.append(replace(record, q=run.q, u=run.u + noise / gain))
+    return Hypothesis(replace(baseline.problem, records=tuple(records)), baseline.model)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The baseline fitted under the noise of ``floor``, the starts on top of it, and what healthy records gain."""
+
+    preparation: Preparation
+    baseline: Fit
+    floor: Floor
+    healthy: Healthy
+    screened: list[list[Start]]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def judge(self) -> Judge:
+        """What accepts a finding under this noise and this chance."""
+        return Judge(self.floor, self.healthy)
+
+
+def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
+    """Fit the baseline by plain least squares, and take the noise from what it leaves: of laps, or of other strokes."""
+    # Kernels are compiled here: simulations run side by side from now on, and must not compile the same one twice.
+    effects = [(effect, np.zeros(len(effect.parameters))) for effect in preparation.library]
+    Plant(preparation.start.problem.axis, effects)
+    rough = fit(preparation.start, steps=BASELINE_STEPS)
+    floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
+    if floor is None:
+        left = unpredicted(rough, preparation.library)
+        floor = floor_of_residual(left, rough.problem.period, STROKES)
+    return rough, floor
+
+
+def calibrate(
+    preparation: Preparation, start: Hypothesis, floor: Floor, seed: int, runs: int, progress: Progress
+) -> Calibration:
+    """Fit the baseline from ``start`` under the noise of ``floor``; see what chance gains, on ``runs`` healthy records.
+
+    With 0 ``runs`` chance is a linearisation: signatures over resampled noise.
+    """
+    progress("healthy reference", 0.0)
+    weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
+    baseline = fit(weighed, steps=BASELINE_STEPS)
+    warnings: tuple[str, ...] = ()
+    absorbed = tangent(baseline)
+    screened = screen(baseline, preparation.library, absorbed)
+    progress(f"healthy reference{told(by_signature(screened, absorbed))}", 0.05)
+    healthy = healthy_reference(screened, floor.draws, seed)
+    if runs:
+        try:
+            report = partial(progress, "healthy records, each searched")
+            healthy = healthy_runs(baseline, preparation.library, floor, runs, seed, report)
+        except KeyboardInterrupt:
+            warnings = ("interrupted: calibrated on resampled noise, not on healthy records searched",)
+    return Calibration(preparation, baseline, floor, healthy, screened, warnings)
+
+
+def set_of(fitted: Fit) -> frozenset[str]:
+    """The effects of ``fitted``, whatever their order."""
+    return frozenset(fitted.model.names)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The ``path`` of best models, baseline first, found under a ``calibration``.
+
+    ``tried`` are all admissible models fitted in full, by their sets of effects; ``alone`` is what each effect gained
+    alone in the first round [whitened cost]; ``interrupted``: by the user, before the search had ended; ``warnings``
+    are those of this search and of the ones that it took the place of; ``of_a_kind`` is an unknown force that explains
+    what a few effects leave, where there is one.
+    """
+
+    calibration: Calibration
+    path: tuple[Fit, ...]
+    tried: FitsBySet = field(repr=False)
+    alone: dict[str, float] = field(default_factory=dict, repr=False)
+    interrupted: bool = False
+    warnings: tuple[str, ...] = ()
+    of_a_kind: OfAKind | None = None
+
+    @property
+    def best(self) -> Fit:
+        """The model accepted last."""
+        return self.path[-1]
+
+    @property
+    def ended_early(self) -> bool:
+        """Whether it was not gone on with, for an unknown force that explains what a few effects leave."""
+        return self.of_a_kind is not None and self.of_a_kind.is_plain
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it stopped at an unknown force and is to be gone on with."""
+        return self.of_a_kind is not None and not self.of_a_kind.is_plain
+
+
+@dataclass(frozen=True)
+class OfAKind:
+    """An unknown force of one ``kind`` of ``unknown_force.KINDS``.
+
+    ``outcome`` is that of a search beside it, and ``found`` its best model, maybe without effects, fitted to all of the
+    records that may be used with the force in the loop: the two leave next to nothing of what the model ``start`` does.
+    """
+
+    kind: Kind
+    start: Fit
+    outcome: Outcome
+    found: Fit
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it explains so much, with few effects, that what else could be said would stand in for it.
+
+        What takes many effects and a force may as well be effects only.
+        """
+        few = len(self.found.model.effects) - len(self.outcome.path[0].model.effects) <= rules.FEW_BESIDE
+        return few and self.start.excess() >= rules.PLAIN * self.start.problem.samples("used")

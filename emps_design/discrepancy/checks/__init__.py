@@ -1,1 +1,0 @@
-"""What must hold before a record is judged."""

@@ -1,0 +1,121 @@
+"""The model that follows the records most closely, judged on the confirming data beside the one that is named.
+
+The model that follows the records most closely, also with effects that nothing shows to be the right ones.
+
+A search ends where nothing more is a finding. Who wants to simulate the machine, and not to know what is wrong with it,
+is served by whatever predicts more of the strokes that were not fitted to, whichever effect carries it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.fit import Fit, fit
+from emps_design.discrepancy.gap import Comparison, Gap, compare, compare_on
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.starts import screen, tangent
+from emps_design.discrepancy.verdict import Validation
+from emps_design.effects import Effect, get_effect, kind_of
+from emps_design.quantities import inside, rounded
+
+MOST_ADDED = 12
+TRIED = 2  # effects fitted in each round: those that gain most to first order
+STEPS = 4  # of each of these fits
+
+FILE = "closest_model.toml"
+UNNEEDED = "what the model leaves is noise: nothing could follow the records more closely"
+
+
+def described(found: Fit, library: tuple[Effect, ...]) -> Fit:
+    """``found`` with whatever of ``library`` describes more of the fitting and the selecting strokes, fitted to all.
+
+    Curves over position and velocity, and memories of the path since a reversal.
+    """
+    describing = tuple(effect for effect in library if _describes(effect))
+    for _ in range(MOST_ADDED):
+        promising = sorted(screen(found, describing, tangent(found)), key=lambda starts: -starts[0].gain)[:TRIED]
+        fits = side_by_side(fit, [(starts[0].hypothesis, "fit", None, STEPS) for starts in promising])
+        closer = [fitted for fitted in fits if _closer(fitted, found)]
+        if not closer:
+            break
+        found = min(closer, key=lambda f: f.cost)
+    return fit(found, part="used")
+
+
+def _describes(effect: Effect) -> bool:
+    """Whether ``effect`` is a curve over the state, or a memory of the path; a contact or a further line is none."""
+    over_state = effect.over in ("q", "v") or effect.by_travel
+    return effect.channel == "plant" and over_state and effect.guard is None and not effect.after
+
+
+def _closer(more: Fit, less: Fit) -> bool:
+    """Whether ``more`` leaves less than ``less`` of both kinds of strokes, and of all by what is worth a number."""
+    both = more.cost_fit < less.cost_fit and more.cost_select < less.cost_select
+    return both and more.cost < (1 - rules.WORTH_DESCRIBING) * less.cost
+
+
+@dataclass(frozen=True)
+class Closest:
+    """An ``axis`` whose simulation follows the records more closely than the named model's, and by how much.
+
+    ``effects`` are the labels of those that it has and the named model has not. ``axis`` None: there is none, and
+    ``text`` says why. ``train`` and ``holdout`` have its force error as ``extended``; ``share`` is that of the judged
+    record's closed loop over the rms of its motor force.
+    """
+
+    text: str
+    axis: Axis | None = None
+    effects: tuple[str, ...] = ()
+    train: Gap | None = None
+    holdout: Gap | None = None
+    share: float | None = None
+
+    def to_dict(self, written: bool) -> Mapping[str, Any]:
+        """The document's ``closest``: gaps in the contract's form, the effects, and the file if it was ``written``."""
+        judged = {name: gap for name, gap in (("train", self.train), ("holdout", self.holdout)) if gap is not None}
+        gaps = {
+            name: {"unit": "N", **{part: gap.to_dict(measure) for part, gap in judged.items()}}
+            for name, measure in (("gap", ""), ("gap_inverse_60hz", "_60hz"))
+        }
+        known = {} if self.axis is None else {"effects": list(self.effects), **gaps, "share_of_force": self.share}
+        return {"text": self.text, "model_file": FILE if written and self.axis is not None else None, **known}
+
+
+def closest_of(validation: Validation) -> Closest:
+    """The model that follows most closely, where that leaves less of the data that judge than the named one does."""
+    outcome, named = validation.outcome, validation.extended
+    judge = outcome.calibration.judge
+    if not judge.leaves_structure(named):
+        return Closest(UNNEEDED)
+    problem, data = named.problem, outcome.calibration.preparation.held_out
+    model = described(outcome.best, outcome.calibration.preparation.library).model
+    baseline = validation.baseline.model
+    train = compare(problem, baseline, model)
+    held_out = None
+    if data is not None:
+        held_out = compare_on(data.with_whitening(problem.whitening), baseline, model)
+    judged, before = held_out or train, validation.held_out or validation.train
+    where = "training" if held_out is None else "held-out"
+    errors = f"{rounded(judged.gap.extended, 3)} N instead of {rounded(before.gap.extended, 3)} N of the {where} force"
+    if judged.gap.extended >= before.gap.extended:
+        return Closest(f"curves over position, velocity and path follow no more closely: they leave {errors}")
+    more = tuple(
+        dict.fromkeys(get_effect(kind_of(name)).label for name in model.names if name not in named.model.names)
+    )
+    listed = ", ".join(map(inside, more)) or "other numbers"
+    text = f"with {listed} the simulation leaves {errors}; that describes the machine, and names no cause"
+    axis = judged.extended.to_axis(problem.axis)
+    return Closest(text, axis, more, train.gap, None if held_out is None else held_out.gap, _share(judged))
+
+
+def _share(judged: Comparison) -> float:
+    """The closed loop's force error over the rms of the motor force, on what is used of the record that judges."""
+    prediction = judged.prediction
+    left = (prediction.measured - prediction.extended)[prediction.used]
+    return float(np.linalg.norm(left) / np.linalg.norm(prediction.measured[prediction.used]))

@@ -1,0 +1,526 @@
+"""The experiment to run next: excitations that bring out what a record did not show, and that tell rivals apart.
+
+Excitations that bring out what a record did not show, inside what the machine has been seen to do.
+
+Every excitation is a reference ``q_ref`` (n,) [m] at the record's period that begins and ends at rest where the record
+began, lasts ten to thirty seconds on an ordinary axis, and stays within the positions, speeds, accelerations and jerks
+of the record. The order of its strokes leaves some of every kind to fit and some to select (every third one).
+
+The experiment that would tell apart what the records could not: the excitation on which the rivals differ most.
+
+Each rival is simulated on each excitation, as if it were the machine, and another is fitted to what it does, its
+numbers held by what the records already know of them. What is left of the difference, whitened like any residual,
+has a length D in standard deviations of the noise: with a real record of that excitation the wrong model will cost D^2
+more than the right one, give or take 2 D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.calibration import Outcome
+from emps_design.discrepancy.fit import Fit
+from emps_design.discrepancy.least_squares import Candidate, Slot, descend
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.problem import Hypothesis
+from emps_design.discrepancy.records import START_UP
+from emps_design.effects import Effect, get_effect, kind_of
+from emps_design.errors import SimulationError
+from emps_design.quantities import inside
+from emps_design.records import Record
+from emps_design.simulation import Run
+from emps_design.simulation.synthetic import point_to_point
+
+MARGIN = 0.9  # of the record's top speed and acceleration
+EDGE = 0.02  # of its travel, left free at both ends
+SHORTEST, LONGEST = 10.0, 25.0  # s: cycles are repeated to the one, none is begun beyond the other
+BAND_HZ = 60.0  # in which the measured acceleration counts
+SWEEP_HZ = (2.0, 100.0)  # of the chirp
+LEAST_FOLLOWED = 0.02  # of a chirp: the reference never asks for more than fifty times what it wants
+
+Move = tuple[float, float, float, float]  # target [m], share of the speed, of the acceleration, pause after it [s]
+
+FILE = "experiment.csv"
+EXPERIMENTS = {  # the excitation that varies one quantity and little else
+    "position": "small_strokes",
+    "velocity": "speed_staircase",
+    "time": "identical_laps",
+    "load": "three_accelerations",
+    "frequency": "chirp_on_a_slow_run",
+    "time since a reversal": "stop_and_dwell",
+}
+PULSE = 1e-6  # m, small enough for no voltage limit
+REFITTED = 2  # excitations at most that are looked at with the rivals fitted to convergence
+STEPS = 3
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What an excitation may use: positions ``low`` to ``high`` [m], ``speed`` [m/s], ``acceleration`` [m/s^2],
+    ``jerk`` [m/s^3]; it starts from rest at ``home`` [m] and is sampled every ``period`` [s].
+
+    ``follows`` (n,) -> (n,) is the gain from reference to position at angular frequencies [rad/s]. What a loop does not
+    follow may be asked for in proportion: the limits are those of the machine, not of its reference.
+    """
+
+    period: float
+    home: float
+    low: float
+    high: float
+    speed: float
+    acceleration: float
+    jerk: float
+    follows: Callable[[np.ndarray], np.ndarray] = np.ones_like
+
+    @classmethod
+    def of(cls, records: Iterable[Record]) -> Envelope:
+        """The envelope of what ``records`` show, with a margin.
+
+        Speed and acceleration are the smaller of what was asked for and what was measured below 60 Hz: a reference
+        that jumps asks for more than any machine does.
+        """
+        from emps_design.identification.filters import motion
+
+        records = tuple(records)
+        period = records[0].period
+        asked = [np.diff(r.q_ref) / period for r in records]
+        moved = [motion(r, BAND_HZ) for r in records]
+        low, high = min(float(r.q.min()) for r in records), max(float(r.q.max()) for r in records)
+        return cls(
+            period=period,
+            home=float(records[0].q_ref[0]),
+            low=low + EDGE * (high - low),
+            high=high - EDGE * (high - low),
+            speed=MARGIN * min(_top(asked), _top(m.v for m in moved)),
+            acceleration=MARGIN * min(_top(np.diff(v) / period for v in asked), _top(m.a for m in moved)),
+            jerk=MARGIN * _top(np.diff(v, 2) / period**2 for v in asked),
+        )
+
+    @property
+    def travel(self) -> float:
+        """Distance [m] between the ends."""
+        return self.high - self.low
+
+    @property
+    def far(self) -> float:
+        """Position [m] of the far end of a stroke from ``low`` that takes no longer than 2.5 s or so."""
+        return self.low + min(self.travel, 2.5 * self.speed)
+
+    @property
+    def middle(self) -> float:
+        """Position [m] half-way to the far end."""
+        return 0.5 * (self.low + self.far)
+
+    def at(self, share: float) -> float:
+        """Position [m] at this ``share`` of the travel."""
+        return self.low + share * self.travel
+
+    def trace(self, cycle: list[Move]) -> np.ndarray:
+        """Position (n,) [m] of the moves of ``cycle``, repeated to ten seconds at least, then home.
+
+        Steps of acceleration are spread until they jerk no more than the record did.
+        """
+        parts, here, n = [np.full(self.samples(0.2), self.home)], self.home, 0
+        while n * self.period < SHORTEST:
+            for target, speed, acceleration, pause in cycle:
+                if n * self.period > LONGEST:
+                    break
+                parts += self._move(here, target, speed, acceleration, pause)
+                here, n = target, n + parts[-2].size + parts[-1].size
+        away = np.concatenate(parts + self._move(here, self.home, 0.5, 0.5, 0.3)) - self.home
+        width = max(1, int(np.ceil(2 * self.acceleration / (self.jerk * self.period))))
+        return self.home + np.convolve(away, np.full(width, 1 / width))
+
+    def _move(self, here: float, target: float, speed: float, acceleration: float, pause: float) -> list[np.ndarray]:
+        rest = np.full(self.samples(pause), target)
+        if target == here:
+            return [np.empty(0), rest]
+        way = point_to_point(self.period, abs(target - here), speed * self.speed, acceleration * self.acceleration)
+        return [here + np.sign(target - here) * way, rest]
+
+    def samples(self, seconds: float) -> int:
+        """Number of samples in ``seconds``, two at least."""
+        return max(2, round(seconds / self.period))
+
+
+def slow_crawl(e: Envelope) -> np.ndarray:
+    """Crawl from rest, both ways, at 0.5 to 5 % of the top speed."""
+    moves: list[Move] = [(e.middle, 0.5, 1.0, 0.3)]
+    for share in (0.005, 0.01, 0.02, 0.05):
+        there = e.middle + min(1.5 * share * e.speed, e.far - e.middle)
+        moves += [(there, share, 1.0, 0.3), (e.middle, share, 1.0, 0.3)]
+    return e.trace(moves)
+
+
+def speed_staircase(e: Envelope) -> np.ndarray:
+    """Run both ways at eight constant speeds, from 5 % of the top speed to all of it."""
+    moves: list[Move] = []
+    for share in (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0):
+        ramps = (share * e.speed) ** 2 / e.acceleration
+        there = e.low + min(0.8 * share * e.speed + ramps, e.travel)
+        moves += [(there, share, 1.0, 0.1), (e.low, share, 1.0, 0.1)]
+    return e.trace(moves)
+
+
+def two_speeds(e: Envelope) -> np.ndarray:
+    """Run strokes forth and back at two constant speeds, one three times the other."""
+    there = e.low + min(e.speed, e.travel)
+    fast = min(1.0, e.travel / e.speed)
+    return e.trace([(end, share, 1.0, 0.2) for share in (fast / 3, fast) for end in (there, e.low)])
+
+
+def three_accelerations(e: Envelope) -> np.ndarray:
+    """Repeat one stroke at full, half and a quarter of the top acceleration."""
+    ends = 3 * (e.far, e.low)
+    return e.trace([(end, 1.0, share, 0.2) for end, share in zip(ends, (1.0, 0.25, 0.5, 0.5, 0.25, 1.0), strict=True)])
+
+
+def fast_strokes(e: Envelope) -> np.ndarray:
+    """Stroke without a pause at the top speed and acceleration, over three distances."""
+    shares = (1.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.2, 0.0)
+    return e.trace([(e.low + share * (e.far - e.low), 1.0, 1.0, 0.0) for share in shares])
+
+
+def small_reversals(e: Envelope) -> np.ndarray:
+    """Reverse about one place with amplitudes that grow from 0.01 to 3 % of the travel."""
+    moves: list[Move] = [(e.middle, 0.5, 1.0, 0.3)]
+    for amplitude in e.travel * np.geomspace(1e-4, 0.03, 10):
+        share = min(amplitude / 0.25 / e.speed, 1.0)
+        moves += 2 * [(e.middle + amplitude, share, 1.0, 0.05), (e.middle, share, 1.0, 0.05)]
+    return e.trace(moves)
+
+
+def small_strokes(e: Envelope) -> np.ndarray:
+    """Make three short strokes at each of five places along the travel."""
+    moves: list[Move] = []
+    for place in (0.0, 0.245, 0.49, 0.735, 0.98):
+        moves += [(e.at(place), 0.5, 1.0, 0.1)] + 3 * [(e.at(place + 0.02), 0.1, 1.0, 0.05), (e.at(place), 0.1, 1.0, 0)]
+    return e.trace(moves)
+
+
+def stop_and_dwell(e: Envelope) -> np.ndarray:
+    """Stop at three places along the travel, coming from both sides, and rest there for 1.5 s."""
+    moves: list[Move] = []
+    for place in (0.25, 0.5, 0.75):
+        moves += [(e.at(place), 0.5, 1.0, 1.5), (e.at(place + 0.25), 0.5, 1.0, 0.1), (e.at(place), 0.5, 1.0, 1.5)]
+    return e.trace([*moves, (e.low, 0.5, 1.0, 0.1)])
+
+
+def identical_laps(e: Envelope) -> np.ndarray:
+    """Repeat one lap, forth at full and back at half the top speed, again and again."""
+    lap = [(e.far, 1.0, 1.0, 0.1), (e.low, 0.5, 1.0, 0.1)]
+    return e.trace(lap * max(1, round(LONGEST * e.speed / (3.5 * (e.far - e.low)))))
+
+
+def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
+    """Run slowly forth and back with a small chirp on top, from 2 to 100 Hz and back in every stroke."""
+    stroke = e.far - e.low
+    # A stroke takes 3 s at least, so that the chirp has room, and not much more than 4.
+    slow = min(max(0.2, stroke / (4.0 * e.speed)), stroke / (3.0 * e.speed), 0.6)
+    base = e.trace(2 * [(e.far, slow, 0.4, 0.1), (e.low, slow, 0.4, 0.1)])
+    turning = np.abs(np.gradient(base, e.period)) < 0.99 * slow * e.speed
+    width = e.samples(0.2)
+    fade = np.convolve(turning, np.ones(3 * width), mode="same") < 0.5
+    for _ in range(3):  # in and out inside the runs at constant speed, without a step of jerk
+        fade = np.convolve(fade, np.full(width, 1 / width), mode="same")
+    first, last = SWEEP_HZ[0], min(SWEEP_HZ[1], 0.2 / e.period)
+    up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * (base - e.low) / stroke)
+    omega = 2 * np.pi * first * (last / first) ** up_and_down
+    # Smoothly the least of what speed (the run must not reverse), acceleration and jerk leave room for.
+    half = 0.5 * e.acceleration
+    room = half / (1 + half / (0.35 * slow * e.speed * omega) + half * omega / e.jerk)
+    amplitude = room / omega**2 / np.maximum(e.follows(omega), LEAST_FOLLOWED)
+    return base + fade * amplitude * np.sin(np.cumsum(omega) * e.period)
+
+
+EXCITATIONS: tuple[Callable[[Envelope], np.ndarray], ...] = (
+    slow_crawl, speed_staircase, two_speeds, three_accelerations, fast_strokes,
+    small_reversals, small_strokes, stop_and_dwell, identical_laps, chirp_on_a_slow_run,
+)  # fmt: skip
+
+
+def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
+    """Every excitation by name: ``q_ref`` (n,) [m] inside ``envelope``.
+
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> envelope = Envelope.of([synthetic_record(machine("emps2019"), laps=1)])
+    >>> crawl = excitations(envelope)["slow_crawl"]
+    >>> bool(np.abs(np.diff(crawl)).max() <= envelope.speed * envelope.period), crawl.size * envelope.period > 10
+    (True, True)
+    """
+    return {excitation.__name__: excitation(envelope) for excitation in EXCITATIONS}
+
+
+def instruction(name: str) -> str:
+    """What the excitation called ``name`` does, as an instruction.
+
+    >>> instruction("slow_crawl")
+    'crawl from rest, both ways, at 0.5 to 5 % of the top speed'
+    """
+    text = next(excitation.__doc__ or name for excitation in EXCITATIONS if excitation.__name__ == name)
+    return text[0].lower() + text[1:].rstrip(".")
+
+
+def _top(signals: Iterable[np.ndarray]) -> float:
+    return max(float(np.abs(signal).max()) for signal in signals)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to record next: ``text``; with an ``excitation``, its reference ``q_ref`` (n,) [m] at ``period`` [s].
+
+    ``distance`` [N rms] is how far apart the models with one and the other of ``between`` are on it, fitted to one
+    another; ``over_noise`` the same in standard deviations of the noise, of which ``needed`` decide. ``compared`` has
+    the first two for every excitation that is safe, the best first, after one step of the fits only. ``file`` is where
+    the reference was written.
+
+    >>> Experiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict()["file"]
+    'experiment.csv'
+    """
+
+    text: str
+    excitation: str | None = None
+    between: tuple[str, str] | None = None
+    distance: float | None = None
+    over_noise: float | None = None
+    needed: float | None = None
+    compared: tuple[dict[str, Any], ...] = ()
+    q_ref: np.ndarray | None = None
+    period: float = 0.0
+    file: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the reference itself."""
+        return {
+            "program": self.excitation,
+            "text": self.text,
+            "duration": None if self.q_ref is None else self.q_ref.size * self.period,
+            "distance": self.distance,
+            "over_noise": self.over_noise,
+            "needed": self.needed,
+            "between": self.between,
+            "file": self.file,
+            "menu": self.compared,
+            "units": {"duration": "s", "distance": "N", "over_noise": "standard deviations"},
+        }
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time (n,) [s] of the samples of ``q_ref``."""
+        return np.arange(0 if self.q_ref is None else self.q_ref.size) * self.period
+
+    def written(self) -> Experiment:
+        """The same, saying where the reference was written, if there is one."""
+        return self if self.q_ref is None else replace(self, file=FILE)
+
+
+def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, list[str]]) -> Experiment | None:
+    """What to record next: an excitation where findings have ``equivalents``, else what the first finding's file says.
+
+    ``named`` are the findings; too many equivalents leave a finding without a name and with the same question. None
+    where nothing is asked.
+    """
+    best = outcome.best
+    sets = [
+        frozenset((*best.model.names, other)) - {name}
+        for name, others in equivalents.items()
+        for other in others
+        if name in named or len(others) > rules.MOST_EQUIVALENTS
+    ]
+    rivals = [outcome.tried[key] for key in sets if key in outcome.tried]
+    if rivals and not best.problem.follows:
+        left = best.cost / best.problem.samples("used")  # structure that nothing explains blurs like noise
+        threshold = outcome.calibration.healthy.threshold
+        chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
+        if chosen is not None:
+            return chosen
+    return Experiment(get_effect(kind_of(named[0])).experiment) if named else None
+
+
+def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:
+    """The excitation that shows most of what a model leaves: the one that varies ``over``, what that depends on."""
+    name, text = varies(over)
+    if hypothesis.problem.follows:
+        return Experiment(text)
+    envelope = Envelope.of(hypothesis.problem.records)
+    reference = excitations(envelope)[name]
+    if not _safe(hypothesis, reference, _extremes(*hypothesis.runs())):
+        return Experiment(text)
+    return Experiment(text, excitation=name, q_ref=reference, period=envelope.period)
+
+
+def varies(over: list[str]) -> tuple[str, str]:
+    """The excitation that varies what the rest depends ``over``, and what to do, in words.
+
+    >>> varies(["time"])[0]
+    'identical_laps'
+    """
+    name = EXPERIMENTS[over[0]] if over else "speed_staircase"
+    why = f"because what is left depends on {' and '.join(over[:2])}" if over else "to see what the rest depends on"
+    return name, f"{instruction(name)}, {why}; diagnose the new record together with the old"
+
+
+def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Experiment | None:
+    """The excitation on which the two of ``rivals`` that are nearest to one another are farthest apart.
+
+    ``threshold`` is the gain in whitened cost that counts; ``noise`` [standard deviations of the whitening] is what
+    the best of them leaves. None where no excitation is safe.
+    """
+    records = rivals[0].problem.records
+    seen = [_extremes(*rival.runs()) for rival in rivals]
+    envelope = replace(Envelope.of(records), follows=_following(rivals[0]))
+    references = excitations(envelope)
+    looked_at = side_by_side(_nearest, [(rivals, seen, q_ref, noise) for q_ref in references.values()])
+    first = {name: found for name, found in zip(references, looked_at, strict=True) if found is not None}
+    if not first:
+        return None
+
+    def converged(name: str) -> _Apart:
+        pair = first[name].pair
+        both_ways = side_by_side(_apart, [(*way, references[name], noise, STEPS) for way in _directions(pair)])
+        return replace(min(both_ways, key=lambda apart: apart.over_noise), pair=pair)
+
+    ranked = sorted(first, key=lambda name: -first[name].over_noise)
+    chosen, best = ranked[0], converged(ranked[0])
+    for name in ranked[1:REFITTED]:
+        # Fitting on can only bring the rivals closer: what is farther now than they could be, stays so.
+        if best.over_noise >= first[name].over_noise:
+            break
+        found = converged(name)
+        if found.over_noise > best.over_noise:
+            chosen, best = name, found
+    needed = rules.LUCK + float(np.sqrt(rules.LUCK**2 + threshold))  # D^2 - 2 LUCK D = threshold
+    decides, (one, other) = best.over_noise >= needed, best.effects
+    return Experiment(
+        text=_text(chosen, best, needed, references[chosen].size * envelope.period),
+        excitation=chosen if decides else None,
+        between=(one.name, other.name),
+        distance=best.distance,
+        over_noise=best.over_noise,
+        needed=needed,
+        compared=tuple(
+            {"program": n, "text": instruction(n), "distance": first[n].distance, "over_noise": first[n].over_noise}
+            for n in ranked
+        ),
+        q_ref=references[chosen] if decides else None,
+        period=envelope.period,
+    )
+
+
+@dataclass(frozen=True)
+class _Apart:
+    """How far two models are apart on an excitation, [N rms] and in standard deviations of the noise."""
+
+    pair: tuple[Fit, Fit]
+    distance: float
+    over_noise: float
+
+    @property
+    def effects(self) -> tuple[Effect, Effect]:
+        """The effects in which the two differ."""
+        one, other = ({effect.name: effect for effect in fitted.model.effects} for fitted in self.pair)
+        return next(one[name] for name in one if name not in other), next(other[n] for n in other if n not in one)
+
+
+def _nearest(rivals: tuple[Fit, ...], seen: list[np.ndarray], q_ref: np.ndarray, noise: float) -> _Apart | None:
+    """The two rivals nearest to one another on ``q_ref``; None where one of them makes it unsafe."""
+    if not all(_safe(rival, q_ref, limits) for rival, limits in zip(rivals, seen, strict=True)):
+        return None
+    pairs = [pair for pair in combinations(rivals, 2) if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2]
+    found = [replace(_apart(*_directions(pair)[0], q_ref, noise, 1), pair=pair) for pair in pairs]
+    return min(found, key=lambda apart: apart.over_noise)
+
+
+def _directions(pair: tuple[Fit, Fit]) -> list[tuple[Fit, Fit]]:
+    """Pairs (machine, rival fitted to it): both ways, but bristles, a hundred times slower, only as the machine."""
+    both = [pair, pair[::-1]]
+    return [way for way in both if not any(effect.takes_dry for effect in way[1].model.effects)] or both
+
+
+def _apart(machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:
+    """Fit ``rival`` to what ``machine`` does on ``q_ref``, its numbers held by what the records know of them."""
+    force = machine.simulate(0, q_ref=q_ref).force
+    start, slots, known = _one_record(rival)
+
+    def missed(model: Candidate) -> np.ndarray:
+        return force[START_UP:] - rival.with_model(model).simulate(0, q_ref=q_ref).force[START_UP:]
+
+    def residual(model: Candidate) -> np.ndarray:
+        innovations = rival.problem.whitening.apply(missed(model))
+        return np.concatenate((innovations, known @ (model.vector(slots) - at) / noise))
+
+    at = start.vector(slots)
+    found = descend(start, slots, residual, steps)
+    return _Apart((machine, rival), float(np.std(missed(found.model))), float(np.sqrt(found.cost)) / noise)
+
+
+def _one_record(fitted: Fit) -> tuple[Candidate, tuple[Slot, ...], np.ndarray]:
+    """The model of ``fitted`` with one record's numbers, its free numbers (k,), and the root (m, k) of what is known.
+
+    What belongs to a record, such as the phase of a ripple, is not known for the next.
+    """
+    model = replace(fitted.model, values=tuple(v[:1] for v in fitted.model.values))
+    slots = tuple(slot for slot in fitted.slots if slot.record in (None, 0))
+    shared = [k for k, slot in enumerate(fitted.slots) if slot.record is None]
+    unit = np.array([fitted.slots[k].magnitude for k in shared])
+    information = np.linalg.pinv(fitted.covariance[np.ix_(shared, shared)] / np.outer(unit, unit), hermitian=True)
+    size, directions = np.linalg.eigh(information)
+    known = np.zeros((len(shared), len(slots)))
+    columns = [k for k, slot in enumerate(slots) if slot.record is None]
+    known[:, columns] = np.sqrt(np.maximum(size, 0.0))[:, None] * directions.T / unit
+    return model, slots, known
+
+
+def _following(hypothesis: Hypothesis) -> Callable[[np.ndarray], np.ndarray]:
+    """Gain (n,) from reference to position over angular frequencies (n,) [rad/s], dry friction and effects aside."""
+    pulse = np.zeros(8192)
+    pulse[1] = PULSE
+    mass, viscous, *_ = hypothesis.model.baseline
+    smooth = hypothesis.with_model(Candidate(np.array([mass, viscous, 0.0, 0.0])))
+    answer = smooth.simulate(0, q_ref=pulse).position
+    omega = 2 * np.pi * np.fft.rfftfreq(pulse.size, hypothesis.problem.period)
+    gain = np.abs(np.fft.rfft(answer)) / PULSE
+    return lambda wanted: np.interp(wanted, omega, gain)
+
+
+def _extremes(*runs: Run) -> np.ndarray:
+    """Highest and lowest position [m], the latter negative, largest speed [m/s], acceleration [m/s^2], voltage [V]."""
+    return np.max(
+        [
+            (run.position.max(), -run.position.min(), *(np.abs(x).max() for x in (run.v, np.diff(run.v), run.u)))
+            for run in runs
+        ],
+        axis=0,
+    )
+
+
+def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, seen: np.ndarray) -> bool:
+    """Whether a model goes on ``q_ref`` no farther, faster or harder than ``seen``, what it does on the records."""
+    try:
+        asked = _extremes(hypothesis.simulate(0, q_ref=q_ref))
+    except SimulationError:
+        return False
+    room = rules.SLACK * np.array([seen[0] + seen[1], seen[0] + seen[1], *seen[2:]])
+    return bool(np.all(asked <= seen + room))
+
+
+def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str:
+    one, other = apart.effects
+    names = f"{inside(one.label)} from {inside(other.label)}"
+    far = f"{apart.distance:.2g} N rms and {apart.over_noise:.1f} standard deviations of the noise"
+    if apart.over_noise < needed:
+        return (
+            f"no motion within what the records show tells {names}: at best ({instruction(excitation)}) they are {far} "
+            f"apart, where {needed:.1f} decide; beyond it, {one.experiment}"
+        )
+    return (
+        f"{instruction(excitation)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} "
+        f"apart, where {needed:.1f} decide; diagnose the new record together with the old"
+    )

@@ -1,1 +1,0 @@
-"""The accepted effects in numbers, places and pictures."""

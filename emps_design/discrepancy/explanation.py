@@ -1,0 +1,490 @@
+"""The last stage: a validated outcome as a diagnosis, with places, pictures, tables, words and the next experiment.
+
+The force that one effect of a fitted model contributes, free of noise: simulated with it, judged without it.
+
+One more view of excited records: their frequency response beside the extended model, and the masses that fit it.
+
+The accepted effects: where each acts, its numbers and their deviations, and the gap without it and with it.
+
+What could not be excluded: the smallest size at which each effect would have been a finding on these records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.acceptance import force_rms
+from emps_design.discrepancy.calibration import Calibration
+from emps_design.discrepancy.closest import Closest
+from emps_design.discrepancy.confirmation import deviation_in_time
+from emps_design.discrepancy.experiment import Experiment, experiment, what_to_record
+from emps_design.discrepancy.fit import Fit, fit
+from emps_design.discrepancy.gap import most_missed
+from emps_design.discrepancy.least_squares import BASELINE
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.preparation import Preparation, command_of
+from emps_design.discrepancy.problem import Hypothesis
+from emps_design.discrepancy.residual_views import (
+    SPECTRAL,
+    Extent,
+    View,
+    described,
+    extent,
+    shown,
+    spectrum_over_time,
+    views,
+)  # fmt: skip
+from emps_design.discrepancy.result import Diagnosis, Finding
+from emps_design.discrepancy.starts import Start, Tangent, tangent
+from emps_design.discrepancy.unexplained import ASSUMPTIONS, begun_earlier, calibration_in_words, unexplained, warnings
+from emps_design.discrepancy.unknown_force import MissingForce, missing_force
+from emps_design.discrepancy.verdict import Validation, wrong_numbers
+from emps_design.effects import Effect, Parameter, get_effect, kind_of
+from emps_design.effects.effect import COULOMB, OFFSET
+from emps_design.errors import RecordError, SimulationError
+from emps_design.frequency_response import estimate_response
+from emps_design.frequency_response.coupling import Comparison
+from emps_design.identification.model import LUMP
+from emps_design.quantities import display_unit, inside
+from emps_design.records import Record
+
+DRAWS = 19  # of the parameters: with the fitted ones, what they span holds nine tenths
+ELSEWHERE = 0.2  # of the squared force away from reversals, from which on that part is the place to look
+
+TRIED_STEPS, READJUSTING_STEPS = 1, 3  # of the fit without an effect: from either start, and from the better one
+
+ABSURD = 1e3  # times the typical size of a parameter
+HIDDEN = "any size: these records do not bring it out"
+NO_START = "not looked for: nothing in these records to start from"
+FAR = 300.0  # times a parameter that shapes an effect, where the effect has faded
+CLOSE = 1.1  # ratio to which the limit of what is seen is sought
+
+SHOWN_CANDIDATES = 10
+UNTOLD = {"value": None, "std": None}
+# The picture over the coordinate of an extent.
+_OVER = {"reversals": "time from reversal", "speed": "velocity", "position": "position", "time": "time"}
+
+
+def contribution(hypothesis: Hypothesis, index: int, number: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Force (n,) [N] of effect ``index`` on record ``number``, and the samples (n,) bool to look at.
+
+    It is what the model without the effect, all other numbers as they are, would miss of the model with it; its median
+    is removed, because a constant force is the baseline's own. Of an effect of the controller, whose loop takes back
+    what it adds, it is the force of the added voltage. The samples leave reversals out where the effect acts elsewhere
+    too. Raises :class:`SimulationError` where the model cannot be simulated without the effect.
+    """
+    alone = hypothesis.only(number)
+    problem, model = alone.problem, alone.model
+    record, used = problem.records[0], problem.splits[0].used
+    effect, values = model.effects[index], model.values[index][0]
+    if effect.channel == "controller":
+        return problem.axis.drive.gain * command_of(effect, values, record), used
+    run = alone.run(0)
+    played = replace(problem, records=(replace(record, q=run.q, u=run.u),))
+    seen = missing_force(Hypothesis(played, model.without(index)))[0]
+    force = seen.force - np.median(seen.force[used])
+    away = seen.away & used
+    return force, away if np.sum(force[away] ** 2) > ELSEWHERE * np.sum(force[used] ** 2) else used
+
+
+def most_exercised(hypothesis: Hypothesis, index: int) -> int:
+    """The record on which effect ``index`` of a model contributes most force."""
+    records = range(len(hypothesis.problem.records))
+    if len(records) == 1:
+        return 0
+    sizes = []
+    for number in records:
+        try:
+            force, seen = contribution(hypothesis, index, number)
+            sizes.append(float(np.std(force[seen])))
+        except SimulationError:  # unstable without the effect: it is needed here
+            sizes.append(np.inf)
+    return int(np.argmax(sizes))
+
+
+def drawn(fitted: Fit, index: int, seed: int = 0) -> list[Hypothesis]:
+    """Models with the numbers of effect ``index`` drawn from their covariance."""
+    own = [i for i, slot in enumerate(fitted.slots) if slot.effect == index]
+    slots, model = tuple(fitted.slots[i] for i in own), fitted.model
+    size = np.array([slot.magnitude for slot in slots])
+    values, vectors = np.linalg.eigh(fitted.covariance[np.ix_(own, own)] / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    centre, chances = model.vector(slots), np.random.default_rng(seed).standard_normal((DRAWS, len(own)))
+    draws = [model.with_vector(slots, centre + root @ chance) for chance in chances] if own else []
+    return [fitted.with_model(draw) for draw in draws]
+
+
+def measured_response(records: Sequence[Record], axis: Axis) -> Comparison | None:
+    """The response of the excited ``records`` beside ``axis``; None where none is, or not strongly enough."""
+    excited = [one for one in records if one.excitation is not None and np.ptp(one.excitation) > 0.0]
+    if not excited:
+        return None
+    try:
+        return estimate_response(excited, axis).comparison
+    except RecordError:
+        return None
+
+
+def findings(validation: Validation) -> tuple[Finding, ...]:
+    """The accepted effects in the order found, each with the force gap before and after it."""
+    extended, outcome = validation.extended, validation.outcome
+    model = extended.model
+    steps = (*(step.model for step in outcome.path), model)
+    order = dict.fromkeys(name for step in steps for name in step.names)
+    return tuple(_finding(validation, model.names.index(name)) for name in order if name in model.names)
+
+
+def _finding(validation: Validation, index: int) -> Finding:
+    extended, outcome = validation.extended, validation.outcome
+    record = most_exercised(extended, index)
+    effect, values = extended.model.effects[index], extended.model.parameters(record)[index]
+    without = _without(extended, index, outcome.path[0])
+    parameters = {
+        p.name: {
+            "value": float(values[place]),
+            "std": deviation(extended, outcome.best, index, place, record),
+            "unit": p.unit,
+            **_per_record(p, extended.model.values[index][:, place]),
+        }
+        for place, p in enumerate(effect.parameters)
+    }
+    return Finding(
+        effect=kind_of(effect.name),
+        label=effect.label,
+        channel=effect.channel,
+        where=_where(extended, index, record),
+        parameters=parameters,
+        p_value=outcome.calibration.healthy.p_value(without.cost - extended.cost),
+        gap_before=force_rms(without),
+        gap_after=force_rms(extended),
+        confirmed=validation.confirmed.get(effect.name),
+        equivalents=tuple(dict.fromkeys(map(kind_of, validation.equivalents.get(effect.name, ())))),
+        remedy=effect.remedy,
+        note="; ".join(
+            [_note(outcome.calibration.preparation, effect.channel, record), *begun_earlier(validation, index)]
+        ),
+    )
+
+
+def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0) -> float:
+    """Standard deviation of a number of ``fitted`` on ``record``, its baseline's with ``index`` -1.
+
+    Of an instant, what covers all that leave as little. Else not less than the number moved since ``before``, the same
+    effects on the fitting strokes alone: where play bounces, what a tiny change of a number does to the force says
+    nothing of how well the record determines it.
+    """
+    linear, in_time = fitted.std(index, place, record), deviation_in_time(fitted, index, place, record)
+    if in_time > 0.0:
+        return max(linear, in_time)
+    if linear == 0.0 or fitted.model.names != before.model.names:
+        return linear
+    now, then = (fit.model.baseline if index < 0 else fit.model.parameters(record)[index] for fit in (fitted, before))
+    return max(linear, abs(float(now[place] - then[place])))
+
+
+def _per_record(parameter: Parameter, values: np.ndarray) -> dict[str, Any]:
+    """What is added for a number that is not one and the same: whether by nature, and that of each record."""
+    entry: dict[str, Any] = {"per_record": True} if parameter.per_record else {}
+    return entry | ({"values": values.tolist()} if np.ptp(values) > 0 else {})
+
+
+def _without(extended: Fit, index: int, first: Fit) -> Fit:
+    """The model without effect ``index``, the rest re-adjusted: against it stands what the effect itself is good for.
+
+    An effect may have taken a baseline number far from where it is alone, in the ``first`` model: both are tried for a
+    start, and the one goes on that leaves less after a step.
+    """
+    rest = extended.model.without(index)
+    begins = (rest, replace(rest, baseline=first.model.baseline))
+    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, TRIED_STEPS) for begin in begins])
+    runs = [fitted for fitted in tried if fitted.innovations]
+    if not runs:  # what does not run without the effect stands against the baseline alone
+        return first
+    return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=READJUSTING_STEPS)
+
+
+def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
+    """Where the force of effect ``index`` acts on record ``number``, with what its numbers' deviations leave open."""
+    record = fitted.problem.records[number]
+
+    def seen(hypothesis: Hypothesis) -> Extent | None:
+        try:
+            return extent(record, *contribution(hypothesis, index, number))
+        except SimulationError:
+            return None  # numbers at which the model is unstable do not describe this machine
+
+    tried = side_by_side(seen, [(hypothesis,) for hypothesis in (fitted, *drawn(fitted, index))])
+    found = [one for one in tried if one is not None]
+    if not found:  # nothing runs without the effect: it acts wherever the model moves
+        found.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
+    where = described(found[0], found[1:])
+    return where if len(fitted.problem.records) == 1 else {**where, "record": record.name}
+
+
+def _note(preparation: Preparation, channel: str, record: int) -> str:
+    if channel != "controller":
+        alone = len(preparation.start.problem.records) == 1
+        whose = "training record" if alone else "training records together"
+        return f"gap of the {whose}, with the other effects refitted"
+    noise = 1e3 * preparation.laws[record].noise
+    return f"seen in u minus the controller's law, noise {noise:.2g} mV; the force balance holds with it"
+
+
+def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[str, Any]]:
+    """A row for each effect that is not among ``found``: its size just seen, None where no size would have been."""
+    baseline = calibration.baseline
+    gain = max(calibration.healthy.threshold, rules.WORTH_AT_FLOOR * baseline.problem.samples("fit"))
+    least = rules.AUDIBLE * calibration.floor.force
+    absorbed, screened = tangent(baseline), {s[0].model.names[-1]: s for s in calibration.screened}
+
+    def row(effect: Effect) -> dict[str, Any]:
+        starts, side = screened.get(effect.name, ()), "or more"
+        if not starts:
+            parameter, size, text = effect.parameters[0], None, NO_START
+        elif effect.linear:
+            parameter, size = _by_amplitude(starts, gain, least)
+        else:
+            parameter, size, grows = _by_shape(baseline, absorbed, starts, gain)
+            side = "or less" if grows else "or more"
+        if starts:
+            text = HIDDEN if size is None else f"{_rounded(parameter, size)} {side}"
+        return {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text}
+
+    library = calibration.preparation.library
+    absent = [effect for effect in library if effect.name not in found and not effect.after]
+    slowest_first = sorted(absent, key=lambda effect: bool(effect.linear))  # those that need simulations
+    rows = {one["effect"]: one for one in side_by_side(row, [(effect,) for effect in slowest_first])}
+    return [rows[effect.name] for effect in absent]
+
+
+def _rounded(parameter: Parameter, size: float) -> str:
+    unit, factor = display_unit(size, parameter.unit)
+    return f"{parameter.name.replace('_', ' ')} {float(f'{size * factor:.2g}'):g} {unit}".rstrip()
+
+
+def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
+    """The largest force that may be there unseen, for a sentence; None where no row tells one."""
+    bounded = [row for row in rows if row["size"] is not None and row["unit"] == "N"]
+    if not bounded:
+        return None
+    row = max(bounded, key=lambda row: row["size"])
+    return f"{row['text'].removesuffix(' or more')} ({inside(row['label'])})"
+
+
+def _by_amplitude(starts: Sequence[Start], gain: float, least: float) -> tuple[Parameter, float | None]:
+    """The amplitude of an effect that is linear in it, from its signatures; a force is ``least`` [N] at least."""
+    effect = starts[0].model.effects[-1]
+    place = [p.name for p in effect.parameters].index(effect.linear[0])
+    parameter = effect.parameters[place]
+    amplitudes = [float(np.abs(s.model.values[-1][:, place]).max() * np.sqrt(gain) / s.size) for s in starts]
+    # Some shapes hide completely, such as an event at the record's end, or a speed that it does not have.
+    most = min(ABSURD * parameter.scale if parameter.scale else np.inf, parameter.upper)
+    sane = [
+        amplitude
+        for amplitude, start in zip(amplitudes, starts, strict=True)
+        if max(amplitude, float(np.abs(start.model.values[-1][:, place]).max())) <= most
+    ]
+    if not sane:
+        return parameter, None
+    size = float(np.median(sane))
+    return parameter, max(size, least) if parameter.unit == "N" else size
+
+
+def _by_shape(
+    baseline: Fit, absorbed: Tangent, starts: Sequence[Start], gain: float
+) -> tuple[Parameter, float | None, bool]:
+    """The first parameter of an effect without an amplitude, moved from the faintest shape seen until it is not.
+
+    Judged against the end at which the effect fades, which may be another effect: play without its gap is an elastic
+    coupling. Also returns whether the effect fades as the parameter grows, as a stiffness does.
+    """
+    effect = starts[0].model.effects[-1]
+    parameter = effect.parameters[0]
+    seen = [start for start in starts if start.size**2 >= gain]
+    if not seen:
+        return parameter, None, False
+    faintest = min(seen, key=lambda start: start.size).model.values[-1]
+
+    def innovations(value: float) -> np.ndarray:
+        values = faintest.copy()
+        values[:, 0] = value
+        return baseline.with_model(baseline.model.with_effect(effect, values)).residual("fit")
+
+    def apart(one: np.ndarray, other: np.ndarray) -> float:
+        return float(np.sum(absorbed.free(one - other) ** 2))
+
+    value = float(faintest[0, 0])
+    try:
+        ends = [min(max(value * far, parameter.lower), parameter.upper) for far in (FAR, 1 / FAR)]
+        there = [innovations(end) for end in ends]
+        grows = apart(there[0], absorbed.whole) < apart(there[1], absorbed.whole)
+        unseen, faded = ends[not grows], there[not grows]
+        if apart(innovations(value), faded) < gain:
+            return parameter, None, grows
+        while max(value, unseen) > CLOSE * min(value, unseen):
+            middle = float(np.sqrt(value * unseen))
+            value, unseen = (middle, unseen) if apart(innovations(middle), faded) >= gain else (value, middle)
+    except SimulationError:
+        return parameter, None, False
+    return parameter, value, grows
+
+
+def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest | None = None) -> Diagnosis:
+    """Say what a validation means: what is missing and where, how much of the gap is closed, what to record next.
+
+    ``rest`` says what was not searched, and what is left there; ``closest`` what follows most closely, where asked for.
+    """
+    outcome, problem = validation.outcome, validation.extended.problem
+    held_out = outcome.calibration.preparation.held_out
+    judged = validation.held_out or validation.train
+    most = most_missed(validation.baseline)
+    before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
+    floor, used = outcome.calibration.floor, problem.splits[most].used
+    limit = problem.axis.drive.command_limit
+    details, found, drawn = side_by_side(  # the longest first
+        lambda work, *given: work(*given),
+        [(_details, validation, before), (findings, validation), (views, before, after, used, floor.force_60hz, limit)],
+    )
+    details["warnings"] += rest
+    details["rest"] = rest
+    extended = judged.extended.to_axis(problem.axis)
+    return Diagnosis(
+        verdict=validation.verdict,
+        findings=found,
+        axis=extended,
+        noise=floor,
+        train=validation.train.gap,
+        holdout=None if validation.held_out is None else validation.held_out.gap,
+        trace=replace(judged.prediction, window=None if held_out is None else held_out.window),
+        views=marked(drawn, found),
+        details=details,
+        experiment=_experiment(validation, details.get("unexplained")),
+        response=measured_response(outcome.calibration.preparation.records, extended),
+        closest=closest,
+    )
+
+
+def _experiment(validation: Validation, left: dict[str, Any] | None) -> Experiment | None:
+    """What to record next: what shows more of the unexplained, or tells equivalents apart where these are too many."""
+    outcome, extended = validation.outcome, validation.extended
+    asked = any(len(others) > rules.MOST_EQUIVALENTS for others in validation.equivalents.values())
+    if left is not None and not asked and not outcome.interrupted:
+        return what_to_record(extended, left["over"])
+    return experiment(outcome, extended.model.names, validation.equivalents)
+
+
+def marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
+    """The ``drawn`` residuals with the extents of the findings; first is what tells where the first of them acts.
+
+    Where it acts everywhere, the one that shows most comes first.
+    """
+    pictures = []
+    for view in drawn:
+        marks: list[Any] = []
+        for finding in found:
+            place = finding.where.get(view.quantity)
+            if place is not None and view.quantity not in SPECTRAL:
+                marks += map(tuple, place if view.quantity == "time" else [place])
+        pictures.append(replace(view, marks=tuple(marks)))
+    head, tail = pictures[:-1], pictures[-1:]
+    told = _OVER.get(found[0].where["place"]) if found else None
+    head.sort(key=lambda view: (not (view.quantity == told and shown(view) > 0.0), -shown(view)))
+    return (*head, *tail)
+
+
+def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
+    """What the report shows besides the contract's keys; ``missed`` is what the baseline misses of the record shown."""
+    outcome, baseline, extended = validation.outcome, validation.baseline, validation.extended
+    calibration, axis = outcome.calibration, extended.problem.axis
+    unseen = not_excluded(calibration, extended.model.names)
+    shown: dict[str, Any] = {
+        "simulation": "inverse model" if extended.problem.follows else "closed loop",
+        "candidates": _candidates(validation),
+        "parameters": _parameters(validation),
+        "not_excluded": unseen,
+        "records": _records(validation),
+        "held_out": calibration.preparation.confirming.to_dict(),
+        "calibration": calibration_in_words(calibration),
+        "assumptions": list(ASSUMPTIONS),
+        "warnings": warnings(validation),
+    }
+    if validation.verdict in ("nothing-missing", "parameters-only"):
+        shown["least_visible"] = least_visible(unseen)
+    if validation.verdict == "parameters-only":
+        given = axis.mechanics.array()
+        shown["changed"] = ", ".join(
+            f"{q.name.replace('_', ' ')} {given[i]:.5g} -> {baseline.model.baseline[i]:.5g} {q.unit}"
+            for i, q in enumerate(BASELINE)
+            if i in wrong_numbers(baseline)
+        )
+    shown["spectrum_over_time"] = spectrum_over_time(missed)
+    shown["interrupted"] = outcome.interrupted
+    if validation.verdict in ("unnamed", "partly-named"):
+        shown["unexplained"] = unexplained(validation)
+    return shown
+
+
+def _records(validation: Validation) -> list[dict[str, Any]]:
+    preparation = validation.outcome.calibration.preparation
+    roles = [(record, "train") for record in preparation.records]
+    held_out = preparation.held_out
+    if held_out is not None and held_out.window is None:
+        roles.append((held_out.problem.records[0], "holdout"))
+    return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
+
+
+def _candidates(validation: Validation) -> list[dict[str, Any]]:
+    """The effects by what each explains alone on top of the baseline."""
+    outcome = validation.outcome
+    base, to_beat = outcome.path[0], outcome.calibration.judge.to_beat(outcome.path[0])
+    ranked = sorted(outcome.alone.items(), key=lambda pair: -pair[1])
+    rows = []
+    for name, gain in ranked[:SHOWN_CANDIDATES]:
+        full = outcome.tried.get(frozenset((*base.model.names, name)))
+        rows.append(
+            {
+                "effect": name,
+                "label": get_effect(kind_of(name)).label,
+                "gap": None if full is None else force_rms(full),
+                "statistic": gain if full is None else base.cost_fit - full.cost_fit,
+                "threshold": to_beat,
+                "accepted": name in validation.extended.model.names,
+                "note": "first guess only: too poor to be fitted, or fitted with numbers that it cannot have"
+                if full is None
+                else "alone, on top of the baseline",
+            }
+        )
+    return rows
+
+
+def _parameters(validation: Validation) -> dict[str, Any]:
+    """The baseline's numbers: the axis file's, fitted alone, and beside the effects; None where one way tells none."""
+    direction = validation.outcome.calibration.preparation.direction
+    given = validation.extended.problem.axis.mechanics.array()
+    pairs = {
+        "baseline": (validation.baseline, validation.outcome.path[0]),
+        "extended": (validation.extended, validation.outcome.best),
+    }
+
+    def entry(unit: str, weights: np.ndarray) -> dict[str, Any]:
+        """The sum of the baseline's numbers with ``weights`` (4,), of which one is free."""
+        place = int(np.flatnonzero(weights)[0])
+        fitted = {
+            name: {"value": float(now.model.baseline @ weights), "std": deviation(now, before, -1, place)}
+            for name, (now, before) in pairs.items()
+        }
+        return {"unit": unit, "axis": float(given @ weights), **fitted}
+
+    every = np.eye(len(BASELINE))
+    table = {quantity.name: entry(quantity.unit, row) for quantity, row in zip(BASELINE, every, strict=True)}
+    if direction:
+        for place in (COULOMB, OFFSET):
+            table[BASELINE[place].name] |= dict.fromkeys(pairs, UNTOLD)
+        table[LUMP.name] = entry(LUMP.unit, every[COULOMB] + direction * every[OFFSET])
+    return table

@@ -1,0 +1,249 @@
+"""One effect more: fits of every effect of the library on top of a model, and a fit brought to convergence.
+
+Poor fits are given up early (successive halving): many starts get a step of the new effect's own numbers, those that
+may still lead a short fit of them, few a fit of everything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.fit import Fit, admissible, bounds_met, evaluate, fit, plausible, play_anew, weighed
+from emps_design.discrepancy.least_squares import Candidate, Descent, descend, simplex
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.problem import Hypothesis
+from emps_design.discrepancy.starts import Start, Tangent, bent, either_baseline, screen, starts, tangent
+from emps_design.discrepancy.unknown_force import missing_force
+from emps_design.effects import Effect
+from emps_design.effects.two_mass import has_play
+
+REFINED = 2  # starts of each effect that are worth a short fit
+SHORT_STEPS = 4
+FIRST_STEPS = 1  # of them, after which only those go on that may still be worth a full fit
+SIMPLEX = 60  # simulations that a first way down may take where play makes the cost rough
+FINALISTS = 4  # effects worth a full fit
+PROMISED = 2  # of the first-order gains, worth one whatever the short fit says
+BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
+TRIED_STEPS = 4  # of every fit of an effect with many starts, or of another shape of it
+PROMISING = 2  # of them go on
+REVISED = 4  # other shapes of an effect that are fitted when it is accepted
+MOST_FITS = 8  # one after the other until they have converged
+
+
+def extended(
+    current: Fit, library: tuple[Effect, ...], rival: float = rules.RIVAL
+) -> tuple[list[Fit], dict[str, float]]:
+    """:func:`extensions` of ``current`` by the effects of ``library``.
+
+    Where its model lets noise grow they are also looked for with that weighed, and then fitted as everything else is.
+    """
+    fits, gains = _looked_for(current, library, rival)
+    quieter = weighed(current)
+    if quieter is not None:
+        found, _ = _looked_for(quieter, library, rival)
+        again = [(current.with_model(one.model), "fit", one.slots) for one in found if one.innovations]
+        fits = sorted((*fits, *side_by_side(fit, again)), key=lambda f: f.cost)
+    return fits, gains
+
+
+def _looked_for(current: Fit, library: tuple[Effect, ...], rival: float) -> tuple[list[Fit], dict[str, float]]:
+    absorbed = tangent(current)
+    return extensions(current, screen(current, library, absorbed), absorbed, rival)
+
+
+def extensions(
+    current: Fit, screened: list[list[Start]], absorbed: Tangent, rival: float = rules.RIVAL
+) -> tuple[list[Fit], dict[str, float]]:
+    """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first.
+
+    A short fit moves the new effect alone and lets the tangent stand for what the rest absorbs; the best few effects
+    are then fitted with everything free, those that gain ``rival`` of what the best one gains there or to first order.
+    Also returns what each effect gained in its short fit [whitened cost].
+    """
+    best = max((found[0].gain for found in screened), default=0.0)
+    least = max(rules.SMALLEST_GAIN, rules.WORTH_FITTING * best)
+    worth = [start for found in screened for start in found[:REFINED] if start.gain >= least]
+    before = float(absorbed.residual @ absorbed.residual)
+    leading: dict[str, Descent] = {}
+    for short in _short_fits(worth, absorbed, before, rules.MAY_RIVAL * rival):
+        name = short.model.names[-1]
+        if name not in leading or short.cost < leading[name].cost:
+            leading[name] = short
+    gains = {found[0].model.names[-1]: found[0].gain for found in screened}
+    gains |= {name: before - short.cost for name, short in leading.items()}
+    shorts = [(short.cost, current.with_model(short.model)) for short in leading.values()]
+    ranked = sorted(((cost, short) for cost, short in shorts if plausible(short)), key=lambda pair: pair[0])
+    # Where an effect takes the place of much of the baseline, the tangent misleads its short fit: fitted all the same.
+    promised = sorted(screened, key=lambda found: -found[0].gain)[:PROMISED]
+    anyway = {found[0].model.names[-1] for found in promised if found[0].gain >= rival * best}
+    begins = [
+        short
+        for place, (cost, short) in enumerate(ranked)
+        if (place < FINALISTS and before - cost >= rival * (before - ranked[0][0])) or short.model.names[-1] in anyway
+    ]
+    if bent(current, before / absorbed.residual.size):
+        # A baseline bent by the gap leads short fits astray: the leading effects are fitted from several starts.
+        leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
+        more = [start.hypothesis for found in leaders for start in found[:BENT_STARTS]]
+        begins += [hypothesis for hypothesis in more if plausible(hypothesis)]
+    fits = side_by_side(_fitted, [(begin,) for begin in _promising(begins)])
+    return sorted(fits, key=lambda f: f.cost), gains
+
+
+def freed(fitted: Fit) -> Fit:
+    """``fitted`` without the effects whose physics ends on a bound once the numbers that were held are free again.
+
+    The loop may have been stable with one of them only: then the next goes too.
+    """
+    while len(fitted.slots) < len(fitted.model.slots()):
+        again = fit(fitted)
+        met = bounds_met(again)
+        fitted = fit(fitted.with_model(fitted.model.without(met[0].effect))) if met else again
+        while not fitted.innovations:
+            fitted = fit(fitted.with_model(fitted.model.without(0)))
+    return fitted
+
+
+def converged(fitted: Fit) -> Fit:
+    """``fitted`` until it pays no more, other shapes of its last effect tried; as it was where that leaves its physics.
+
+    A fit that has not converged looks like another effect.
+    """
+    further = _revised(_settled(fitted))
+    if fitted.surveyed and further.cost > (1 - rules.STILL_PAYS) * fitted.cost:
+        return fitted
+    further = play_anew(play_anew(further))  # the second time far around where the first one ended
+    return further if admissible(further) else fitted
+
+
+def _short_fits(begins: list[Start], absorbed: Tangent, before: float, share: float) -> list[Descent]:
+    """Short fits of ``begins``, of some steps where the first one or first order gains ``share`` of the best.
+
+    ``before`` is the cost without any of them.
+    """
+    shorts = side_by_side(_short_fit, [(start, start.model, absorbed, FIRST_STEPS) for start in begins])
+    least = share * max((before - short.cost for short in shorts), default=0.0)
+    go_on = [i for i, start in enumerate(begins) if max(start.gain, before - shorts[i].cost) >= least]
+    more = SHORT_STEPS - FIRST_STEPS
+    further = side_by_side(_short_fit, [(begins[i], shorts[i].model, absorbed, more) for i in go_on])
+    for i, short in zip(go_on, further, strict=True):
+        shorts[i] = short
+    return shorts
+
+
+def _short_fit(start: Start, begin: Candidate, absorbed: Tangent, steps: int) -> Descent:
+    own = tuple(slot for slot in begin.slots() if slot.effect == len(begin.effects) - 1)
+    free = absorbed.free if start.anchored else lambda residual: residual
+
+    def left(model: Candidate) -> np.ndarray:
+        return free(start.hypothesis.with_model(model).residual("fit"))
+
+    if begin is start.model and has_play(begin.effects[-1]):
+        begin = simplex(begin, own, left, SIMPLEX)
+    return descend(begin, own, left, steps)
+
+
+def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
+    """Those of ``begins`` whose fits go on: of an effect with many starts the best few after some steps."""
+    alike: dict[tuple[str, ...], list[Hypothesis]] = {}
+    for one in begins:
+        alike.setdefault(one.model.names, []).append(one)
+    found: list[Hypothesis] = []
+    for ones in alike.values():
+        if len(ones) > PROMISING:
+            found += sorted(_tried(ones), key=lambda f: f.cost)[:PROMISING]
+        else:
+            found += ones
+    return found
+
+
+def _fitted(begin: Hypothesis) -> Fit:
+    """Fit ``begin``; numbers that end on a bound are held as they were, and the rest fitted again.
+
+    While something else is missing, a number may make up for it: a resonance loses all its damping to a delay that is
+    not known yet. The physics need not end there; :func:`freed` sees to it at the end.
+    """
+    ended = fit(begin)
+    met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
+    if met:
+        ended = fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
+    return ended if has_play(begin.model.effects[-1]) else play_anew(ended)  # the last one's short fit began with that
+
+
+def _settled(fitted: Fit) -> Fit:
+    """Fit on until it pays no more."""
+    for _ in range(MOST_FITS):
+        further = fit(fitted)
+        if further.cost > (1 - rules.STILL_PAYS) * fitted.cost:
+            return min(fitted, further, key=lambda f: f.cost)
+        fitted = further
+    return fitted
+
+
+def _revised(fitted: Fit) -> Fit:
+    """Look again at form and shapes of the effect found last, now that all numbers fit it.
+
+    A descent does not cross to another exponent, nor to another stroke of the time at which something happened.
+    """
+    forms = [form for form in _in_reach(_forms(fitted), fitted) if admissible(form)]
+    paying = [form for form in forms if form.cost < (1 - rules.STILL_PAYS) * fitted.cost]
+    if paying:
+        fitted = _settled(min(paying, key=lambda f: f.cost))
+    model = fitted.model
+    effect, values = model.effects[-1], model.values[-1]
+    timed = [p.per_record and p.unit == "s" for p in effect.parameters]
+    shapes = [i for i, p in enumerate(effect.parameters) if timed[i] or (p.discrete and p.default is None)]
+    if not shapes:
+        return fitted
+    rests = either_baseline(fitted.with_model(model.without(len(model.effects) - 1)))
+    begins = [begin for rest in rests for begin in _other_shapes(evaluate(rest), effect, values, shapes)]
+    tried = _in_reach(begins, fitted)
+    best = min((fitted, *tried), key=lambda f: f.cost)
+    return fitted if best is fitted or not admissible(best) else _settled(best)
+
+
+def _other_shapes(without: Fit, effect: Effect, values: np.ndarray, shapes: list[int]) -> list[Hypothesis]:
+    """``without`` with ``effect`` in the best few shapes other than those in the columns ``shapes`` of ``values``."""
+    if not without.innovations:
+        return []
+    other: dict[bytes, Hypothesis] = {}  # the best start of each shape: the fit finds the rest
+    for start in starts(without, effect, missing_force(without), tangent(without)):
+        shape = start.model.values[-1][:, shapes]
+        if start.anchored and not np.array_equal(shape, values[:, shapes]):
+            other.setdefault(shape.tobytes(), start.hypothesis)
+    return list(other.values())[:REVISED]
+
+
+def _in_reach(begins: list[Hypothesis], fitted: Fit) -> list[Fit]:
+    """Fits of those of ``begins`` that come near to what ``fitted`` leaves in their first steps."""
+    return side_by_side(fit, [(one,) for one in _tried(begins) if one.cost < rules.IN_REACH * fitted.cost])
+
+
+def _tried(begins: list[Hypothesis]) -> list[Fit]:
+    """The first steps of a fit of each of ``begins``."""
+    return side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in begins])
+
+
+def _forms(fitted: Fit) -> list[Hypothesis]:
+    """The model of ``fitted`` with its numbers, in other forms than it has.
+
+    Of the effect found last, and where structure is left of what any effect still has as by default.
+    """
+    model, found = fitted.model, list[Hypothesis]()
+    structure = fitted.cost > rules.AT_FLOOR * fitted.problem.samples("used")
+    for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
+        for place, parameter in enumerate(effect.parameters):
+            now = values[0, place]
+            if parameter.discrete and index < len(model.effects) - 1:
+                continue
+            if not parameter.discrete and (now != parameter.default or not structure):
+                continue
+            for other in (form for form in parameter.starts if form != now):
+                row = values.copy()
+                row[:, place] = other
+                changed = replace(model, values=(*model.values[:index], row, *model.values[index + 1 :]))
+                found.append(fitted.with_model(changed))
+    return found

@@ -1,0 +1,418 @@
+"""Least squares over the free numbers of a candidate model, within their bounds, and how certain they are.
+
+A candidate model: the baseline and a set of effects with their numbers, the free ones as one vector.
+
+A way down where slopes mislead: the simplex search of Nelder and Mead over the logarithms of some numbers.
+
+Play that bounces makes the cost rough: every impact that comes earlier or later moves it a little, and a descent along
+slopes ends in the first dent. A simplex spans many of them.
+
+A way down where the cost is rough: Gauss-Newton on linear surfaces through a neighbourhood, bursts counting little.
+
+Where play bounces, every impact depends on the last digit of every number: the cost has dent beside dent, and at the
+truth, where noise moves the impacts as well, it is no less than in many of them. Over a neighbourhood the mean is
+smooth. A few samples, at impacts that come early or late, would still be most of a sum of squares: beyond a burst they
+count as the logarithm does (Cauchy's loss).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.effects import Effect, Parameter, kind_of
+from emps_design.effects.effect import COULOMB, OFFSET
+from emps_design.effects.sizes import sized_parameter
+from emps_design.errors import SimulationError
+from emps_design.quantities import Quantity
+
+# Of an ordinary axis; the scales are the least sizes by which a fit measures its steps.
+BASELINE = (
+    Parameter("mass", "M", "kg", lower=1e-6, scale=1.0),
+    Parameter("viscous", "F_v", "N/(m/s)", lower=0.0, scale=10.0),
+    Parameter("coulomb", "F_c", "N", lower=0.0, scale=1.0),
+    Parameter("constant_force", "c", "N", scale=1.0),
+)
+LEAST_MASS = 0.01  # of the axis file's: with next to no mass the plant is all friction, and takes for ever to simulate
+
+NUDGE = 2e-4  # finite difference, in magnitudes of the number
+COARSE = 5e-3  # the same where the fine one finds no way down and structure is left: play that bounces is rough
+BOLDEST = 0.5  # largest step of a fit, in magnitudes of the number: a period must not jump over its neighbours
+TRIALS = 6  # of one step, with more and more damping
+DAMPING = (1e-7, 1e6)  # least and most
+GOES_ON = 0.1  # of the cost: a step that gains more is followed by one with the Jacobian that it corrects
+CONVERGED = (1e-4, 0.1)  # gain of a step, as a share of the cost and absolute, below which a descent ends
+CLUSTER = 500  # samples that structure in a residual spans, for the deviations of what was fitted
+WORST = 1e12  # cost of a model that cannot be simulated: finite, so that a fit steps back from it
+
+SPAN = 0.3  # of the logarithm of each number, the first simplex
+ENDS = 0.01  # of the logarithm, size of a simplex that is small enough
+
+ROUNDS = 30  # surfaces, one after the other
+CHANGED = 2.0  # times the cost: as much a number alone changes the residual at the edge of the first neighbourhood
+SOUGHT = 4  # times that edge is corrected before the first surface
+CLOSER = 0.6  # of the neighbourhood is the next one where a surface led no further, and at least
+OFTEN = 4  # times in so many rounds
+FAR = 4.0  # neighbourhoods that a step may lead away
+ASTRAY = 1.5  # times the least cost, beyond which a step is taken back, and the neighbourhood was too large by far
+FURTHER = 1e-3  # of the least cost less, and a surface has led further
+IN_VAIN = 5  # surfaces one after the other that led no further, though not astray: there is nothing more to find
+RIDGE = 1e-3  # of the diagonal
+ALIKE = 4.0  # times the deviation of the costs on a surface, up to which a place is as good as the best
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where one free number lives: ``effect`` -1 is the baseline; ``record`` None means shared by all records.
+
+    ``magnitude`` is the size by which a fit measures its steps.
+    """
+
+    effect: int
+    place: int
+    record: int | None
+    quantity: Quantity
+    magnitude: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in what belongs to one record.
+
+    ``sizes`` are the bounds and least sizes of the baseline's numbers; those at the places ``held`` are never free.
+    """
+
+    baseline: np.ndarray
+    effects: tuple[Effect, ...] = ()
+    values: tuple[np.ndarray, ...] = ()
+    sizes: tuple[Parameter, ...] = BASELINE
+    held: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, axis: Axis, factors: Mapping[str, float], held: tuple[int, ...] = ()) -> Candidate:
+        """The baseline of ``axis``, sized by its ``factors`` of :func:`~emps_design.effects.sizes.sizes`."""
+        _, *rest = (sized_parameter(parameter, factors) for parameter in BASELINE)
+        least = LEAST_MASS * axis.mechanics.mass
+        return cls(axis.mechanics.array(), sizes=(replace(BASELINE[0], lower=least, scale=least), *rest), held=held)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(effect.name for effect in self.effects)
+
+    def with_effect(self, effect: Effect, values: np.ndarray) -> Candidate:
+        """Add ``effect`` with parameters ``values`` (n_records, n_parameters)."""
+        return replace(self, effects=(*self.effects, effect), values=(*self.values, np.atleast_2d(values)))
+
+    def without(self, index: int) -> Candidate:
+        """Drop effect number ``index``."""
+        keep = [i for i in range(len(self.effects)) if i != index]
+        return replace(self, effects=tuple(self.effects[i] for i in keep), values=tuple(self.values[i] for i in keep))
+
+    def without_named(self, names: Iterable[str]) -> Candidate:
+        """Drop the effects called ``names``."""
+        model = self
+        for name in names:
+            model = model.without(model.names.index(name))
+        return model
+
+    def slots(self, frozen: bool = False) -> tuple[Slot, ...]:
+        """The free numbers; with ``frozen`` only those that belong to a record.
+
+        What acts on the controller's output is known from the controller's law alone and never free here.
+        """
+        slots = []
+        if not frozen:
+            # A constant force may have to grow to the size of the friction before a spring fits.
+            magnitudes = np.maximum(np.abs(self.baseline), [parameter.scale for parameter in self.sizes])
+            magnitudes[OFFSET] = max(magnitudes[OFFSET], self.baseline[COULOMB])
+            numbers = enumerate(zip(self.sizes, magnitudes, strict=True))
+            slots += [Slot(-1, i, None, q, s) for i, (q, s) in numbers if i not in self.held]
+        for index, (effect, values) in enumerate(zip(self.effects, self.values, strict=True)):
+            for place, parameter in enumerate(effect.parameters):
+                held = parameter.held_at(values[:, place]) or (frozen and not parameter.per_record)
+                if held or effect.channel == "controller":
+                    continue
+                rows = range(len(values)) if parameter.per_record else (None,)
+                for row in rows:
+                    value = abs(values[row or 0, place])
+                    typical = parameter.scale or max((abs(s) for s in parameter.starts), default=0.0)
+                    slots.append(Slot(index, place, row, parameter, max(value, 0.1 * typical, 1e-12)))
+        return tuple(slots)
+
+    def with_row(self, index: int, row: np.ndarray) -> Candidate:
+        """The same model with parameters ``row`` (n_parameters,) of effect number ``index`` on one record."""
+        values = [*self.values[:index], np.atleast_2d(row), *self.values[index + 1 :]]
+        return replace(self, values=tuple(values))
+
+    def only(self, record: int) -> Candidate:
+        """The same model with the numbers of one record."""
+        return replace(self, values=tuple(row[None] for row in self.parameters(record)))
+
+    def vector(self, slots: tuple[Slot, ...]) -> np.ndarray:
+        """The numbers in ``slots``."""
+        return np.array(
+            [self.baseline[s.place] if s.effect < 0 else self.values[s.effect][s.record or 0, s.place] for s in slots]
+        )
+
+    def with_vector(self, slots: tuple[Slot, ...], vector: np.ndarray) -> Candidate:
+        """The same model with other numbers in ``slots``, each held within its bounds."""
+        baseline, values = self.baseline.copy(), [v.copy() for v in self.values]
+        for slot, number in zip(slots, vector, strict=True):
+            held = min(max(float(number), slot.quantity.lower), slot.quantity.upper)
+            if slot.effect < 0:
+                baseline[slot.place] = held
+            elif slot.record is None:
+                values[slot.effect][:, slot.place] = held
+            else:
+                values[slot.effect][slot.record, slot.place] = held
+        return replace(self, baseline=baseline, values=tuple(values))
+
+    def parameters(self, record: int) -> tuple[np.ndarray, ...]:
+        """Kernel parameters of ``record``, one array per effect."""
+        return tuple(v[min(record, len(v) - 1)] for v in self.values)
+
+    def to_axis(self, axis: Axis, record: int = 0) -> Axis:
+        """``axis`` with this baseline and these effects as seen by ``record``."""
+        mass, viscous, coulomb, offset = map(float, self.baseline)
+        effects = [
+            {"kind": kind_of(e.name), **{p.name: float(x) for p, x in zip(e.parameters, row, strict=True)}}
+            for e, row in zip(self.effects, self.parameters(record), strict=True)
+        ]
+        return axis.replace(
+            mechanics={"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}, effects=effects
+        )
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Where a descent ended: the model, its sum of squares, and the covariance of the free numbers."""
+
+    model: Candidate
+    cost: float
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """The free numbers ``slots`` of ``start`` in units of their magnitudes, and the ``residual`` of a model."""
+
+    start: Candidate
+    slots: tuple[Slot, ...]
+    residual: Callable[[Candidate], np.ndarray]
+
+    @cached_property
+    def magnitude(self) -> np.ndarray:
+        """The magnitude of every number."""
+        return np.array([s.magnitude for s in self.slots])
+
+    @cached_property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lower and the upper ones."""
+        lower, upper = np.array([(s.quantity.lower, s.quantity.upper) for s in self.slots]).reshape(-1, 2).T
+        return lower / self.magnitude, upper / self.magnitude
+
+    @property
+    def begin(self) -> np.ndarray:
+        """The numbers that ``start`` has."""
+        return self.start.vector(self.slots) / self.magnitude
+
+    def at(self, x: np.ndarray) -> Candidate:
+        """The model with the numbers ``x``."""
+        return self.start.with_vector(self.slots, x * self.magnitude)
+
+    def attempt(self, x: np.ndarray) -> np.ndarray | None:
+        """The residual with the numbers ``x``, None where the model cannot be simulated."""
+        try:
+            return self.residual(self.at(x))
+        except SimulationError:
+            return None
+
+    def unscaled(self, covariance: np.ndarray) -> np.ndarray:
+        """``covariance`` (k, k) in the units of the numbers."""
+        return covariance * np.outer(self.magnitude, self.magnitude)
+
+
+def descend(
+    start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray], steps: int
+) -> Descent:
+    """Minimise the sum of squares of ``residual`` over ``slots`` by Levenberg-Marquardt; bounds hold at every step.
+
+    A model that cannot be simulated counts as infinitely bad: the descent steps back from it. As long as a step gains
+    much, the next one takes the Jacobian that the step itself corrects (Broyden's rank one); a descent ends on one that
+    was computed. It takes as many simulations as ``steps`` steps with computed ones would.
+    """
+    free = Scaled(start, slots, residual)
+    (lower, upper), attempt, x = free.bounds, free.attempt, free.begin
+    try:
+        current = residual(start)
+    except SimulationError:
+        return Descent(start, WORST, np.zeros((len(slots),) * 2))
+    if not slots:
+        return Descent(start, float(current @ current), np.zeros((0, 0)))
+    model, damping, nudge, jacobian = start, 1e-3, NUDGE, np.zeros((current.size, len(slots)))
+    simulations = steps * (len(slots) + 1)
+    while simulations > 0:
+        nudges = np.where(x + nudge <= upper, nudge, -nudge)
+        shifted = side_by_side(attempt, [(moved,) for moved in x + np.diag(nudges)])
+        for k, (reached, step) in enumerate(zip(shifted, nudges, strict=True)):
+            jacobian[:, k] = 0.0 if reached is None else (reached - current) / step
+        simulations -= len(slots)
+        first, secant, most = float(current @ current), jacobian.copy(), TRIALS
+        while most and simulations > 0:
+            cost, trials, most = float(current @ current), most, 0
+            for trial, tried in itertools.islice(_moves(secant, current, x, lower, upper, damping), trials):
+                reached, simulations = attempt(trial), simulations - 1
+                if reached is None or float(reached @ reached) >= cost:
+                    damping = min(tried * 10, DAMPING[1])
+                    continue
+                moved, change = trial - x, reached - current
+                model, x, current = free.at(trial), trial, reached
+                damping = max(tried / 10, DAMPING[0])
+                if float(current @ current) < (1 - GOES_ON) * cost:
+                    secant += np.outer(change - secant @ moved, moved / (moved @ moved))
+                    most = 1
+                break
+        gain = first - float(current @ current)
+        if gain == 0.0 and nudge == NUDGE and first > rules.STRUCTURED * current.size:
+            damping, nudge = 1e-3, COARSE
+        elif gain < CONVERGED[0] * first + CONVERGED[1]:
+            break
+    return Descent(model, float(current @ current), free.unscaled(covariance_of(jacobian, current)))
+
+
+def _moves(
+    jacobian: np.ndarray, left: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Where to go from ``x`` (k,) within its bounds, and the damping of that step: each more damped than the last."""
+    normal, gradient = jacobian.T @ jacobian, jacobian.T @ left
+    while True:
+        free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
+        lhs = normal[np.ix_(free, free)] + damping * np.diag(np.diag(normal)[free] + 1e-9)
+        move = np.zeros_like(x)
+        move[free] = -np.linalg.lstsq(lhs, gradient[free], rcond=None)[0]
+        yield np.clip(x + np.clip(move, -BOLDEST, BOLDEST), lower, upper), damping
+        damping = min(damping * 10, DAMPING[1])
+
+
+def covariance_of(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) of a least-squares fit that leaves ``left`` (n,), in standard deviations of the noise.
+
+    Where the model leaves structure its numbers are less sure than noise alone would make them: by its size, and, as
+    structure goes on for a while and pulls at the numbers, by how far the pull differs from piece to piece of the
+    record (the sandwich of Huber and White, pieces as clusters). The larger of the two holds for each number.
+    """
+    inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    covariance = inverse * max(1.0, float(left @ left) / left.size)
+    starts = np.arange(0, left.size, CLUSTER)
+    pulls = np.add.reduceat(jacobian * left[:, None], starts, axis=0)
+    pulls -= pulls.mean(axis=0)
+    spread = inverse @ (pulls.T @ pulls) @ inverse
+    wider = np.sqrt(np.maximum(1.0, np.diag(spread) / np.maximum(np.diag(covariance), 1e-300)))
+    return covariance * np.outer(wider, wider)
+
+
+def simplex(
+    start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray], simulations: int
+) -> Candidate:
+    """``start`` with the positive numbers in ``slots`` moved to where the sum of squares of ``residual`` is least.
+
+    In as many ``simulations`` at most; a model that cannot be simulated counts as :data:`WORST`.
+    """
+    from scipy.optimize import minimize
+
+    def moved(logarithms: np.ndarray) -> Candidate:
+        return start.with_vector(slots, np.exp(logarithms))
+
+    def cost(logarithms: np.ndarray) -> float:
+        try:
+            left = residual(moved(logarithms))
+        except SimulationError:
+            return WORST
+        return float(left @ left)
+
+    first = np.log(np.maximum(start.vector(slots), [1e-3 * slot.magnitude for slot in slots]))
+    corners = np.vstack([first, first + SPAN * np.eye(first.size)])
+    options = {"initial_simplex": corners, "maxfev": simulations, "xatol": ENDS, "fatol": 0.0}
+    return moved(minimize(cost, first, method="Nelder-Mead", options=options).x)
+
+
+def bounded(innovations: np.ndarray) -> np.ndarray:
+    """Numbers whose sum of squares is Cauchy's loss of ``innovations``: beyond a burst it grows as the logarithm.
+
+    >>> bounded(np.array([0.0, 0.5, -100.0])).round(3).tolist()
+    [0.0, 0.499, -12.241]
+    """
+    size = rules.BURST
+    return np.asarray(np.sign(innovations) * size * np.sqrt(np.log1p((innovations / size) ** 2)))
+
+
+def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray]) -> Descent:
+    """Minimise the sum of squares of ``residual`` over ``slots`` by surfaces; returns the least that was met.
+
+    A surface goes through two places on each of as many random directions, at right angles to each other, as there are
+    numbers: each moves all numbers at once. Its slopes give the next place. What cannot be simulated makes the
+    neighbourhood smaller. A number is as sure as the last surface says, and as the places agree whose cost is the least
+    one but for the roughness of the last neighbourhood. The same start takes the same directions.
+    """
+    random, free = np.random.default_rng(0), Scaled(start, slots, residual)
+    been: list[tuple[float, np.ndarray]] = []
+
+    def visit(places: np.ndarray) -> list[np.ndarray] | None:
+        met = side_by_side(free.attempt, [(place,) for place in places])
+        been.extend((float(m @ m), place) for m, place in zip(met, places, strict=True) if m is not None)
+        return None if any(m is None for m in met) else met
+
+    def least() -> tuple[float, np.ndarray]:
+        return min(been, key=lambda one: one[0])
+
+    x = free.begin
+    first = visit(x[None])
+    covariance, rough = np.zeros((x.size, x.size)), 0.0
+    if first is None or not slots:
+        return Descent(start, been[0][0] if been else WORST, covariance)
+    reach, vain = _reach(free.attempt, x, first[0]), 0
+    for number in range(ROUNDS):
+        directions = np.linalg.qr(random.standard_normal((x.size, x.size)))[0] * np.sqrt(x.size) * reach
+        met = visit(np.clip(np.concatenate([x + directions, x - directions]), *free.bounds))
+        if met is None:
+            reach = reach * CLOSER
+            continue
+        ahead, behind = np.split(np.array(met), 2)
+        jacobian = (ahead - behind).T @ directions / (2 * x.size * reach**2)
+        middle = np.mean(met, axis=0)
+        covariance, rough = covariance_of(jacobian, middle), float(np.std([m @ m for m in met]))
+        normal = jacobian.T @ jacobian
+        move = -np.linalg.lstsq(normal + RIDGE * np.diag(np.diag(normal)), jacobian.T @ middle, rcond=None)[0]
+        moved = np.clip(x + np.clip(move, -FAR * reach, FAR * reach), *free.bounds)
+        before, reached = least()[0], visit(moved[None])
+        astray = reached is None or been[-1][0] > ASTRAY * least()[0]
+        x = least()[1] if astray else moved
+        vain = 0 if least()[0] < (1 - FURTHER) * before else vain + (not astray)
+        if vain == IN_VAIN:
+            break
+        if astray:
+            reach = reach * CLOSER**2
+        elif np.all(np.abs(move) < reach) or number % OFTEN == OFTEN - 1:
+            reach = reach * CLOSER
+    cost, best = least()
+    alike = np.array([place for found, place in been if found <= cost + ALIKE * rough])
+    covariance = covariance + np.cov(alike.T, bias=True).reshape(covariance.shape)
+    return Descent(free.at(best), cost, free.unscaled(covariance))
+
+
+def _reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """How far each number of ``x`` (k,) alone goes until the residual differs from ``first`` by a share of its cost."""
+    reach, wanted = np.full(x.size, 1e-3), CHANGED * float(first @ first)
+    for _ in range(SOUGHT):
+        met = side_by_side(attempt, [(moved,) for moved in x + np.diag(reach)])
+        changed = [np.inf if left is None else float(np.sum((left - first) ** 2)) for left in met]
+        reach = reach * np.clip(np.sqrt(wanted / np.maximum(changed, 1e-300)), 0.1, 10.0)
+    return reach

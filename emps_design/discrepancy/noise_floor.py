@@ -1,0 +1,283 @@
+"""What repeats and what does not: the noise floor of the force, its whitening, and how certain an rms is.
+
+Whitening of the force residual by an autoregressive model of its noise, and its undoing.
+
+How certain an rms is: a bootstrap that keeps the correlation of what it redraws.
+
+What repeats and what does not: the noise floor of the force, and the whitening of its residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.records import START_UP, Split
+
+ORDER = 24  # of the autoregressive model of the noise
+
+PIECE = 500  # samples drawn together in the mean
+DRAWS = 199
+ENDS = (0.025, 0.975)  # quantiles
+
+BAND_HZ = 60.0
+FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
+EVERY_TWO = (FIRST_DIFFERENCE, (-1.0, 0.0, 1.0), (0.0, *FIRST_DIFFERENCE))  # of three laps
+TOGETHER = 3  # laps, of which two agree nearly everywhere, even if each is pushed now and then
+NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
+LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
+
+Signals = tuple[np.ndarray, np.ndarray]  # a force (n,) [N], unfiltered and low-passed
+Parts = tuple[list[np.ndarray], list[np.ndarray]]  # pieces of such forces
+Way = Callable[[Signals, Split], Parts]  # of laps to differ
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Autoregressive model of the force noise: ``coefficients`` (p + 1,), first 1; the innovation's ``std`` [N]."""
+
+    coefficients: np.ndarray
+    std: float
+
+    @classmethod
+    def none(cls) -> Whitening:
+        """Return what leaves forces as they are, with 1 N as the standard deviation of the noise."""
+        return cls(np.array([1.0]), 1.0)
+
+    @classmethod
+    def of_autocovariance(cls, lags: np.ndarray) -> Whitening:
+        """Model noise with autocovariance ``lags`` (order + 1,) [N^2] by the equations of Yule and Walker."""
+        from scipy.linalg import solve_toeplitz
+
+        lags = lags * np.concatenate(([1 + 1e-9], np.ones(lags.size - 1)))
+        a = solve_toeplitz(lags[:-1], lags[1:])
+        variance = lags[0] - float(a @ lags[1:])
+        return cls(np.concatenate(([1.0], -a)), float(np.sqrt(max(variance, 1e-12))))
+
+    def apply(self, residual: np.ndarray) -> np.ndarray:
+        """Innovations of ``residual`` (n,) [N] in units of their standard deviation."""
+        return np.convolve(self.coefficients, residual)[: residual.size] / self.std
+
+    def undo(self, innovations: np.ndarray) -> np.ndarray:
+        """Force noise (n,) [N] that :meth:`apply` makes into ``innovations`` (n,)."""
+        from scipy.signal import lfilter
+
+        return self.std * lfilter((1.0,), self.coefficients, innovations)
+
+
+def rms_interval(error: np.ndarray, seed: int = 0) -> tuple[float, float]:
+    """Interval that holds the rms of ``error`` (n,) with 95 %: stationary bootstrap of pieces of it.
+
+    Pieces of random, geometrically distributed length begin anywhere in the record, closed to a ring (Politis and
+    Romano, The stationary bootstrap, 1994). Only their sums of squares are wanted, so that no sample is drawn.
+
+    >>> low, high = rms_interval(np.random.default_rng(0).standard_normal(20_000))
+    >>> 0.97 < low < 1.0 < high < 1.03
+    True
+    """
+    generator, n = np.random.default_rng(seed), error.size
+    piece = min(PIECE, n // 4)
+    lengths = generator.geometric(1 / piece, (DRAWS, 2 * (n // piece) + 50))  # more than fill the record
+    ends = np.minimum(np.cumsum(lengths, axis=1), n)
+    lengths = np.diff(ends, axis=1, prepend=0)
+    begins = generator.integers(0, n, lengths.shape)
+    squares = np.concatenate(([0.0], np.cumsum(np.tile(error**2, 2))))
+    means = (squares[begins + lengths] - squares[begins]).sum(axis=1) / ends[:, -1]
+    low, high = np.sqrt(np.quantile(means, ENDS))
+    return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Rms [N] of what nothing predicts, ``force`` unfiltered and ``force_60hz`` low-passed.
+
+    ``interval`` and ``interval_60hz`` hold the two with 95 %. ``whitening`` models it; ``draws`` are its innovations,
+    to resample. ``source`` says what it was read from.
+    """
+
+    force: float
+    force_60hz: float
+    interval: tuple[float, float]
+    interval_60hz: tuple[float, float]
+    whitening: Whitening
+    draws: np.ndarray
+    source: str
+
+    @property
+    def from_laps(self) -> bool:
+        """Whether it is what differs between laps of the same reference, and no model's residual."""
+        return self.source == LAPS
+
+    def to_dict(self, measure: str = "") -> dict[str, object]:
+        """The contract's ``floor`` with its interval, of ``gap`` or, by ``measure`` "_60hz", of the inverse model."""
+        rms, interval = getattr(self, f"force{measure}"), getattr(self, f"interval{measure}")
+        return {"floor": rms, "floor_interval": list(interval), "floor_from": self.source}
+
+
+def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:
+    """Floor from repeated laps of any record, or None where no reference repeats.
+
+    ``residuals`` (n,) [N] are what a fitted model leaves: what it knows of one lap and not of another, such as a
+    disturbance of the controller, is then not taken for noise. Nor is a drift: where the second difference between
+    three laps is clearly smaller than the difference between two, it is the floor. Nor are pushes that do not come with
+    every lap: where two of the laps always agree far better than one and the next, what those two differ by is the
+    floor.
+    """
+    from emps_design.identification.filters import low_pass
+
+    signals = [(force, low_pass(force, BAND_HZ, period)) for force in residuals]
+    ways = partial(_weighted, weights=FIRST_DIFFERENCE), partial(_weighted, weights=SECOND_DIFFERENCE), _agreeing
+    first, second, agreeing = (_differences(signals, splits, way) for way in ways)
+    if not first[0]:
+        return None
+    drifts = bool(second[0]) and _rms(second[0]) < rules.DRIFTS * _rms(first[0])
+    floor = _floor(*(second if drifts else first), LAPS)
+    if not agreeing[0]:
+        return floor
+    quietest = _floor(*agreeing, LAPS)
+    return quietest if quietest.force < rules.PUSHED * floor.force else floor
+
+
+def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: Way) -> Parts:
+    """What laps differ by, in one ``way``, over all records: unfiltered and low-passed, without what is unusual."""
+    raw: list[np.ndarray] = []
+    smooth: list[np.ndarray] = []
+    for both, split in zip(signals, splits, strict=True):
+        usual = _steady(*way(both, split))
+        raw += usual[0]
+        smooth += usual[1]
+    return raw, smooth
+
+
+def _weighted(signals: Signals, split: Split, weights: tuple[float, ...]) -> Parts:
+    """Combinations of laps in a row with ``weights``."""
+    laps = _laps(split, len(weights))
+    raw, smooth = ([_difference(signal, start, stop, split.lap, weights) for start, stop in laps] for signal in signals)
+    return raw, smooth
+
+
+def _agreeing(signals: Signals, split: Split) -> Parts:
+    """Differences of the two laps of every three that agree best, piece by piece."""
+    raw: list[np.ndarray] = []
+    smooth: list[np.ndarray] = []
+    for start, stop in _laps(split, TOGETHER)[::TOGETHER]:
+        if stop - start < PIECE:
+            continue
+        pairs, slow = (_pairs(signal, start, stop, split.lap) for signal in signals)
+        best = np.argmin(np.sum(pairs**2, axis=2), axis=0), np.arange(pairs.shape[1])
+        raw.append(np.concatenate(pairs[best]))
+        smooth.append(np.concatenate(slow[best]))
+    return raw, smooth
+
+
+def _pairs(signal: np.ndarray, start: int, stop: int, lap: int) -> np.ndarray:
+    """Differences (3, pieces, samples) of every two of three laps, less the usual one of the two: a drift makes it."""
+    pairs = [_difference(signal, start, stop, lap, weights) for weights in EVERY_TWO]
+    cut = np.array([_pieces(pair, PIECE) for pair in pairs])
+    return cut - np.median(cut, axis=(1, 2), keepdims=True)
+
+
+def _laps(split: Split, together: int) -> list[tuple[int, int]]:
+    """Samples (start, stop) of the first of ``together`` laps one after the other, for every such group."""
+    used = np.nonzero(split.used)[0]
+    if split.lap == 0 or used.size < together * split.lap - START_UP:
+        return []
+    first, last, others = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
+    # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
+    begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
+    groups = [(a, min(a + split.lap, last - others)) for a in range(begin, last - others - START_UP, split.lap)]
+    return [(a, b) for a, b in groups if split.used[a : b + others].all()]  # what confirms stays closed
+
+
+def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tuple[float, ...]) -> np.ndarray:
+    """Combination of laps with ``weights``, with the deviation of the noise of one."""
+    laps = [weight * signal[start + i * lap : stop + i * lap] for i, weight in enumerate(weights)]
+    return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
+
+
+def floor_of_residual(left: Sequence[np.ndarray], period: float, source: str) -> Floor:
+    """Floor taken from what a model leaves of the used samples, (n_used,) [N] per record; ``source`` says which."""
+    from emps_design.identification.filters import low_pass
+
+    raw, smooth = [], []
+    for force in left:
+        usual = _steady([force], [low_pass(force, BAND_HZ, period)])
+        raw += usual[0]
+        smooth += usual[1]
+    return _floor(raw, smooth, source)
+
+
+def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floor:
+    (force, lags), (force_60hz, _) = side_by_side(_broadband, [(raw,), (smooth,)])
+    whitening = Whitening.of_autocovariance(lags)
+    draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
+    intervals = side_by_side(_interval, [(raw, force), (smooth, force_60hz)])
+    return Floor(force, force_60hz, intervals[0], intervals[1], whitening, draws / draws.std(), source)
+
+
+def _interval(parts: list[np.ndarray], rms: float) -> tuple[float, float]:
+    """Interval of the floor ``rms`` [N], in proportion to that of the rms of ``parts``."""
+    error = np.concatenate([p - p.mean() for p in parts])
+    low, high = (rms / float(np.std(error)) * end for end in rms_interval(error))
+    return low, high
+
+
+def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
+    """Rms [N] and autocovariance (ORDER + 1,) [N^2] of ``parts`` without the lines of their spectrum.
+
+    A hum that is not in step with the laps differs between them, and is no noise: a line that stands far above the
+    median of its neighbourhood is cut down to it.
+    """
+    from scipy.ndimage import median_filter
+
+    size = max(part.size for part in parts)
+    power, samples = np.zeros(size + 1), 0
+    for part in parts:
+        window = np.hanning(part.size)  # else the foot of a tone reaches far
+        power += np.abs(np.fft.rfft(window * (part - part.mean()), 2 * size)) ** 2 / np.mean(window**2)
+        samples += part.size
+    usual = median_filter(power, 2 * NEIGHBOURS + 1, mode="nearest")
+    power = np.where(power > rules.LINE * usual, usual, power)
+    lags = np.fft.irfft(power)[: ORDER + 1] / samples
+    return float(np.sqrt(lags[0])), lags
+
+
+def usual_rms(left: Sequence[np.ndarray]) -> float:
+    """Rms [N] of ``left``, (n,) per record, without the pieces in which it is far larger than it usually is there."""
+    return _rms([part for force in left for part in _steady([force], [force])[0]])
+
+
+def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Leave out the pieces of a record in which its laps differ far more than they usually do.
+
+    An event that happens in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not
+    samples, so that what is kept still has the noise's correlation. Of each record by itself: at four times the gain
+    the same play of the position is four times the force.
+    """
+    if not raw:
+        return [], []
+    length = min(PIECE, *(part.size for part in raw))
+    sizes = [np.std(_pieces(part, length), axis=1) for part in raw]
+    typical = np.median(np.concatenate(sizes))
+    kept_raw, kept_smooth = [], []
+    for part, slow, size in zip(raw, smooth, sizes, strict=True):
+        usual = size <= rules.UNUSUAL * typical
+        if usual.any():
+            mask = np.repeat(usual, length)
+            kept_raw.append(part[: mask.size][mask])
+            kept_smooth.append(slow[: mask.size][mask])
+    return kept_raw, kept_smooth
+
+
+def _pieces(part: np.ndarray, length: int) -> np.ndarray:
+    return part[: part.size // length * length].reshape(-1, length)
+
+
+def _rms(parts: list[np.ndarray]) -> float:
+    """Rms [N] of ``parts``, the mean of each removed."""
+    return float(np.sqrt(np.mean(np.concatenate([(p - p.mean()) ** 2 for p in parts]))))

@@ -1,0 +1,546 @@
+"""The first stage: records that can be judged, split, with what their controller's law already tells.
+
+The controller on its own: does the recorded voltage follow the law of the axis file, computed from the record?
+
+The law needs only ``q_ref`` and ``q``, both recorded, so a gap in its equation is seen here without any plant, and is
+explained here and nowhere else.
+
+What a record must have to be judged, and what it cannot tell: checked before anything is computed.
+
+What of a record confirms where no other one was given: its first lap or its last strokes, closed during the search.
+
+A share of the gap that is closed on the samples that were fitted says little. So one lap is kept, where the reference
+repeats and two laps are left to tell the noise: the first, which starts from rest unlike the others and tells none of
+it. Otherwise it is the last third of the strokes. Where that would leave too little to find anything by, nothing is
+kept, and the answer says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import NO_LIMIT, Axis
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.least_squares import Candidate
+from emps_design.discrepancy.noise_floor import Whitening
+from emps_design.discrepancy.problem import Hypothesis, Problem
+from emps_design.discrepancy.records import (
+    CUTOFF_HZ,
+    FEWEST_STROKES,
+    PARTS,
+    START_UP,
+    Split,
+    find_lap,
+    find_strokes,
+    split,
+)
+from emps_design.effects import Effect, Motion
+from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
+from emps_design.effects.sizes import sized, sizes
+from emps_design.errors import InputError, RecordError
+from emps_design.identification.excitation import one_direction
+from emps_design.identification.model import LUMPED
+from emps_design.laws import get_law, law_of, recorded_gains, unit_of
+from emps_design.records import Record
+from emps_design.records.clock import same_period
+
+BLOCK_TIME = 0.02  # s, of the means in which structure shows
+
+SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
+MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
+MOST_SAMPLES = 1_000_000  # 1.7 GB
+ONE_SPEED = (
+    "one speed, one way, and a controller that is not known: mass and friction stay as the axis file says, and of the "
+    "effects only forces with a place or a time are looked for. All others would pass for these, such as "
+    "friction that changes along the travel: record strokes at several speeds to tell them apart"
+)
+DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
+
+LAPS = 3  # from which on one of them is kept
+STROKES = 6  # that a record without laps must have
+KEPT = 1 / 3  # of them
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LawCheck:
+    """``gap`` (n,) [V] is u minus the law; ``noise`` [V] its deviation where nothing is wrong; ``structured`` says
+    whether it is more than noise; ``addition`` is what explains it: an effect, and its parameters (n_parameters,)."""
+
+    gap: np.ndarray
+    noise: float
+    structured: bool
+    addition: tuple[Effect, np.ndarray] | None = None
+
+    @property
+    def added(self) -> str:
+        """Name of the effect that the controller adds, or ""."""
+        return "" if self.addition is None else self.addition[0].name
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether the controller does something that no effect explains."""
+        return self.structured and self.addition is None
+
+
+def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawCheck:
+    """Check the law of ``axis`` on ``record`` and name a gap with one of the ``library``'s controller effects.
+
+    Raises :class:`InputError` where the law holds nowhere: the axis file then has another controller than the drive.
+    """
+    limit = axis.drive.command_limit
+    gap = record.u - law_voltage(record, axis)
+    gap[:START_UP] = 0.0
+    free = np.abs(record.u) < rules.AT_LIMIT * limit
+    centre = np.median(np.abs(gap[free]))
+    swing = float(np.std(record.u))
+    low = float(np.quantile(np.abs(gap[free] - np.median(gap[free])), 0.25))
+    if min(centre, low) > rules.LAW_HOLDS * swing:
+        raise InputError(_wrong_law(record, axis, swing, float(np.std(gap))))
+    noise = _noise(gap)
+    width = max(2, round(BLOCK_TIME / record.period))
+    blocks = gap[: gap.size // width * width].reshape(-1, width).mean(axis=1)
+    varying = float(np.var(blocks)) * width > rules.LAW_STRUCTURE * noise**2
+    if not (varying and float(np.std(blocks)) > rules.LAW_VISIBLE * swing):
+        return LawCheck(gap, noise, False)
+    proposed = [(effect, propose_command(effect, record, gap)) for effect in library if effect.channel == "controller"]
+    additions = [(effect, values) for effect, values in proposed if values is not None]
+    left = [float(np.var(gap - command_of(*addition, record))) for addition in additions]
+    if not left or min(left) > (1 - rules.LAW_NAMED) * float(np.var(gap)):
+        return LawCheck(gap, noise, True)
+    return LawCheck(gap, noise, True, additions[left.index(min(left))])
+
+
+def beside_the_law(record: Record, law: LawCheck | None) -> Record:
+    """``record`` with what its controller does beside its ``law``, and no effect explains, as an excitation: known.
+
+    The plant is then judged under the command that it got.
+    """
+    if law is None or not law.unexplained:
+        return record
+    return replace(record, excitation=law.gap + (0.0 if record.excitation is None else record.excitation))
+
+
+def law_voltage(record: Record, axis: Axis) -> np.ndarray:
+    """What the law of ``axis`` gives (n,) [V] for recorded reference and position, limited; 0 while switched off."""
+    law = law_of(axis, record.period, record.extra)
+    limit = axis.drive.command_limit
+    voltage = law.commands(law.followed(record), record.q, limit, record.f_ext)
+    added = 0.0 if record.excitation is None else record.excitation
+    on = 1.0 if record.enable is None else record.enable != 0.0
+    return np.clip(voltage + added, -limit, limit) * on
+
+
+def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarray | None:
+    """Parameters of a controller effect that explain ``gap`` (n,) [V] best, or None."""
+    if effect.propose is None:
+        return None
+    nothing = np.zeros(len(record))
+    motion = Motion(record.t, record.q, nothing, nothing, nothing, record.period, record.u)
+    tried = []
+    for table in effect.propose(motion, gap, np.zeros(4), np.ones(len(record), bool)):
+        values = np.array([min(max(table[p.name], p.lower), p.upper) for p in effect.parameters])
+        tried.append((float(np.var(gap - command_of(effect, values, record))), values))
+    return min(tried, key=lambda pair: pair[0])[1] if tried else None
+
+
+def command_of(effect: Effect, values: np.ndarray, record: Record) -> np.ndarray:
+    """Voltage (n,) [V] that a controller effect adds over ``record``."""
+    command, none = effect.command, np.zeros(0)
+    if command is None:
+        return np.zeros(len(record))
+    return np.array(
+        [command(q, 0.0, t, 0.0, none, values, np.zeros(4)) for t, q in zip(record.t, record.q, strict=True)]
+    )
+
+
+def _noise(gap: np.ndarray) -> float:
+    """Deviation of white noise in ``gap``, from first differences, deaf to levels and edges."""
+    return 1.4826 * float(np.median(np.abs(np.diff(gap)))) / np.sqrt(2) + 1e-9
+
+
+def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
+    """Say with which parameters the law of ``axis`` fits the record, where it does."""
+    text = (
+        f"{record.name}: the voltage follows the axis file's {axis.controller.kind} law nowhere "
+        f"(misses it by {miss:.3g} V rms of {swing:.3g} V)"
+    )
+    kind = get_law(axis.controller.kind)
+    if kind.propose is not None:
+        wanted = np.where(np.arange(len(record)) < START_UP, np.nan, record.u)
+        followed = law_of(axis, record.period, record.extra).followed(record)
+        proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
+        if proposed is not None:
+            free = axis.replace(controller=proposed, drive={"command_limit": NO_LIMIT})
+            left = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
+            if left < rules.LAW_HOLDS * swing:
+                fields = kind.table.model_fields
+                fitting = " and ".join(f"{name} = {v:.5g} {unit_of(fields[name])}" for name, v in proposed.items())
+                return f"{text}; {fitting} fit it, correct the axis file"
+    from emps_design.identification.controller import TOLD, identify_law
+
+    found = identify_law(record, axis.drive.command_unit)
+    if found.verdict == TOLD:
+        return f"{text}; {found.in_words} does and leaves {found.residual_rms:.3g}, correct the axis file"
+    return f'{text}; give the controller that made this record, or kind = "none"'
+
+
+def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = False) -> list[str]:
+    """Refuse what cannot be judged; return what the records cannot tell, one sentence each.
+
+    ``along_motion``: nothing is simulated, so that any period will do, and no reference is needed.
+    """
+    samples = sum(map(len, records))
+    if samples > MOST_SAMPLES:
+        raise RecordError(
+            f"{', '.join(record.name for record in records)}: found {samples} samples, expected at most {MOST_SAMPLES} "
+            f"in all: a diagnosis takes {MEMORY / 1e3:g} kB of memory for each; cut the records to what tells most"
+        )
+    gaps: list[str] = []
+    for record in records:
+        period = axis.sampling.period
+        if not same_period(record.period, period):
+            raise RecordError(
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
+                f"{1e3 * period:g} ms; records and axis must come from one drive"
+            )
+        if record.period > SLOWEST_PERIOD and not along_motion:
+            raise RecordError(
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
+                f"{1e3 * SLOWEST_PERIOD:g} ms: forces are looked at up to {CUTOFF_HZ:g} Hz"
+            )
+        if record.duration < rules.SHORTEST:
+            raise RecordError(
+                f"{record.name}: found {record.duration:.3g} s, expected at least {rules.SHORTEST:g} s; record whole "
+                "strokes"
+            )
+        if np.ptp(record.q) < rules.STILL:
+            raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
+        if np.ptp(record.q_ref) < rules.STILL and not along_motion:
+            raise RecordError(
+                f"{record.name}: q_ref is constant, so the controller of the axis file did not make this motion; "
+                'without one (kind = "none") it is compared by its command'
+            )
+        limited = float(np.mean(np.abs(record.u) >= rules.AT_LIMIT * axis.drive.command_limit))
+        if limited > rules.SATURATED:
+            raise RecordError(
+                f"{record.name}: {100 * limited:.0f} % of the samples are at the voltage limit, expected less than "
+                f"{100 * rules.SATURATED:.0f} %; lower speed or acceleration"
+            )
+        gaps += [f"{record.name}: {text}" for text in (*record.contradictions, *_not_excited(record))]
+    return gaps
+
+
+def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
+    """Refuse an ``other`` record that was not sampled like ``record``, or whose file names another drive.
+
+    Gains that the controller of ``axis`` takes from each record may differ.
+    """
+    if not same_period(record.period, other.period):
+        raise RecordError(
+            f"{other.name}: found a sampling period of {1e3 * other.period:g} ms, expected "
+            f"{1e3 * record.period:g} ms of {record.name}; all records must come from one drive"
+        )
+    own = {source["record"] for source in recorded_gains(axis).values()}
+    for name in sorted((DRIVE - own) & record.extra.keys() & other.extra.keys()):
+        found, expected = (float(np.ravel(r.extra[name])[0]) for r in (other, record))
+        if not np.isclose(found, expected, rtol=1e-6):
+            raise RecordError(
+                f"{other.name}: found {name} = {found:g}, expected {expected:g} of {record.name}; all records must "
+                "come from one drive"
+            )
+
+
+def same_run(one: Record, other: Record) -> bool:
+    """Whether two records hold the same measurement, whatever their names."""
+    return len(one) == len(other) and np.array_equal(one.q, other.q) and np.array_equal(one.u, other.u)
+
+
+def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
+    """Whether ``record`` goes one way at about one speed in all the samples ``used`` (n,)."""
+    v = np.gradient(record.q, record.period)[used]
+    return bool(np.std(v) < rules.ONE_SPEED * abs(np.mean(v)))
+
+
+def told_by_one_speed(effect: Effect) -> bool:
+    """Whether one speed tells ``effect``: a force with a place on the travel, or with a time, and no friction."""
+    force = effect.channel == "plant" and effect.inertia is None and effect.dry is None
+    return force and effect.over in ("q", "t")
+
+
+def _not_excited(record: Record) -> list[str]:
+    """What the speeds of ``record`` leave open."""
+    v = np.gradient(record.q_ref, record.period)
+    fastest = float(np.abs(v).max())
+    steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01) & (np.abs(v) > 0.02 * fastest)]
+    gaps = []
+    if steady.size and np.ptp(steady) < 0.1 * fastest:
+        gaps.append("one speed only, so viscous friction and its curvature cannot be told from Coulomb friction")
+    moving = np.abs(v) > 0
+    if moving.any() and float(np.mean(np.abs(v[moving]) < 0.02)) < 0.005:
+        gaps.append("hardly any motion below 20 mm/s, so Stribeck friction is seen at reversals only")
+    return gaps
+
+
+@dataclass(frozen=True)
+class Confirming:
+    """Which data confirm, in words: ``what`` they are, ``chosen`` "given", "kept", "in turn" or "none", ``time`` [s] of
+    a part.
+
+    ``what`` says for "none" why nothing was kept.
+    """
+
+    what: str
+    chosen: str
+    time: Interval | None = None
+
+    @property
+    def opened(self) -> Confirming:
+        """The same where what was kept has something that the rest lacks: then all is fitted."""
+        return Confirming(f"{self.what}, kept closed at first, has something that the rest lacks", "none")
+
+    @property
+    def sentence(self) -> str:
+        """What the errors and shares are of, for who reads the answer; nothing where a record was given for it."""
+        if self.chosen == "kept":
+            return f"Nothing was fitted to {self.what}, kept closed to confirm."
+        if self.chosen == "in turn":
+            return f"Each of {self.what} was predicted from the others: errors and shares are of what was not fitted."
+        if self.chosen == "none":
+            return (
+                f"Nothing was held out ({self.what}): errors and shares are of what was fitted; give another record as "
+                "`holdout`."
+            )
+        return ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "what": self.what,
+            "chosen": self.chosen,
+            "time": None if self.time is None else list(self.time),
+            "text": self.sentence,
+        }
+
+
+def given(record: Record, time: Interval | None = None) -> Confirming:
+    """Say that ``record``, or the interval ``time`` [s] of it, was given to confirm."""
+    part = "" if time is None else f"{time[0]:.4g} to {time[1]:.4g} s of "
+    return Confirming(f"{part}{record.name}", "given", time)
+
+
+def kept_closed(records: tuple[Record, ...], fit_time: Interval | None = None) -> Confirming:
+    """Choose what of ``records`` to keep closed within ``fit_time`` [s]: of several, which are fitted whole, nothing.
+
+    >>> wave = np.abs(np.arange(6000) % 1000 - 500.0) * 1e-3
+    >>> kept_closed((Record.from_arrays(1e-3, wave, wave, wave, name="run"),)).sentence
+    'Nothing was fitted to the first lap of run, 0 to 1 s, kept closed to confirm.'
+    >>> kept_closed((Record.from_arrays(1e-3, wave[:1200], wave[:1200], wave[:1200], name="run"),)).sentence
+    'Nothing was held out (run has 3 strokes and does not repeat three times): errors and shares are of what was \
+fitted; give another record as `holdout`.'
+    """
+    record = records[0]
+    if len(records) > 1:
+        return Confirming(f"{len(records)} records are fitted together", "none")
+    begin, end = 0, len(record)
+    if fit_time is not None:
+        begin, end = (int(i) for i in np.searchsorted(record.t, fit_time))
+    lap, strokes = find_lap(record.q_ref), find_strokes(record.q_ref, record.period)
+    inside = [(start, stop) for start, stop in strokes if start >= begin and stop <= end]
+    if lap and end - begin >= LAPS * lap - START_UP:
+        start, stop, what = begin, begin + lap, "the first lap"
+    elif lap or len(inside) < STROKES:
+        return Confirming(f"{record.name} has {_strokes(len(inside))} and does not repeat three times", "none")
+    else:
+        count = int(KEPT * len(inside))
+        start, stop, what = inside[-count][0], end, f"the last {count} of {_strokes(len(inside))}"
+    left = end - begin - (stop - start)
+    if stop - start < START_UP + rules.FEWEST_TO_CONFIRM or left < rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT:
+        return Confirming(f"{record.name} has {end - begin} samples to fit", "none")
+    time = float(record.t[start]), float(record.t[stop - 1]) + 0.5 * record.period
+    shown = f"{time[0]:.4g} to {time[0] + (stop - start) * record.period:.4g} s"
+    return Confirming(f"{what} of {record.name}, {shown}", "kept", time)
+
+
+def _strokes(number: int) -> str:
+    return f"{number} stroke{'' if number == 1 else 's'}"
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The data that confirm, as a problem of their own; ``window`` (start, stop) [s] where they are part of a record.
+
+    Without a ``law`` the controller is unknown, or does what it does on the training record that this is a part of.
+    """
+
+    problem: Problem
+    window: Interval | None
+    law: LawCheck | None
+
+    @property
+    def added(self) -> str:
+        """Name of the effect that the controller adds here, or ""."""
+        return "" if self.law is None else self.law.added
+
+    def with_whitening(self, whitening: Whitening) -> HeldOut:
+        """The same data judged with other noise."""
+        return replace(self, problem=self.problem.with_whitening(whitening))
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """What a diagnosis starts from.
+
+    ``records`` are as they were given; ``start`` is the axis file's own model of them, with what the controller adds to
+    its law; ``library`` are the effects to look for, ``laws`` the checks of the controller's law, one per record where
+    the controller is known. ``confirming`` says what ``held_out`` is, or why it is None. ``direction`` is 1 or -1 where
+    all goes one way: then Coulomb friction and the constant force are one, and the latter stays as the axis file says.
+    """
+
+    records: tuple[Record, ...]
+    start: Hypothesis
+    library: tuple[Effect, ...]
+    laws: tuple[LawCheck, ...]
+    held_out: HeldOut | None
+    confirming: Confirming
+    warnings: tuple[str, ...]
+    direction: int = 0
+
+    @property
+    def unexplained_law(self) -> bool:
+        """Whether the controller does something on the training records that no effect explains."""
+        return any(law.unexplained for law in self.laws)
+
+
+def prepare(
+    records: tuple[Record, ...],
+    axis: Axis,
+    library: tuple[Effect, ...],
+    holdout: Record | None,
+    fit_time: Interval | None,
+    confirm_time: Interval | None,
+    opened: Confirming | None = None,
+) -> Preparation:
+    """Check the records and the controller's law, size the library to the axis, split what may be fitted.
+
+    What confirms stays closed: ``holdout``, or ``confirm_time`` [s] of the first record, or else what can be spared,
+    unless that was ``opened``.
+    """
+    confirming = opened or _confirming(records, holdout, fit_time, confirm_time)
+    confirm_time = confirming.time
+    dropped, first = [one.effect.name for one in axis.effects], records[0]
+    axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
+    factors = sizes(first.q, first.u, first.period, axis.drive.gain)
+    lines = (line for effect in library if effect.acts_on(axis.motion) for line in effect.several())
+    library = tuple(sized(line, factors) for line in lines)
+    warnings = check_records(records, axis)
+    if dropped:
+        warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
+    for other in (*records[1:], *(() if holdout is None else (holdout,))):
+        check_same_drive(first, other, axis)
+    for one, other in combinations(records, 2):
+        if same_run(one, other):
+            raise InputError(f"{other.name}: is the record {one.name} again; give each record once")
+    known, law = axis.controller.kind != "none", None
+    if holdout is not None:
+        if any(same_run(holdout, record) for record in records):
+            raise InputError(f"{holdout.name}: is a training record too; confirm on one that nothing was fitted to")
+        warnings += check_records((holdout,), axis)
+        # A foreign controller is to be refused before the search; the law says nothing of the plant.
+        law = check_law(holdout, axis, library) if known else None
+    laws = tuple(check_law(record, axis, library) for record in records if known)
+    judged = tuple(map(beside_the_law, records, laws)) if known else records
+    splits = _splits(records, fit_time, confirm_time)
+    # Nothing of a record is simulated behind the last sample that is fitted: no filter sees what confirms.
+    ends = [int(np.flatnonzero(one.used)[-1]) + 1 if one.used.any() else len(one.fit) for one in splits]
+    searched, splits = tuple(map(Record.until, judged, ends)), tuple(map(Split.until, splits, ends))
+    problem = Problem(axis, searched, splits, Whitening.none())
+    held_out = None
+    if holdout is not None or confirm_time is not None:
+        record, window = judged[0] if holdout is None else beside_the_law(holdout, law), None
+        inside = np.ones(len(record), bool)
+        if confirm_time is not None:
+            inside = between(record, confirm_time, "`confirm_time`")
+        if not inside.all():
+            window = float(record.t[inside][0]), float(record.t[inside][-1])
+        held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
+    held: tuple[int, ...] = ()
+    direction = one_direction(searched)
+    if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
+        held = MASS, VISCOUS, COULOMB
+        library = tuple(filter(told_by_one_speed, library))
+        warnings.append(ONE_SPEED)
+        direction = 0
+    elif direction:
+        held = (OFFSET,)
+        warnings.append(LUMPED)
+    start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
+    plant = tuple(effect for effect in library if effect.channel != "controller")
+    return Preparation(records, start, plant, laws, held_out, confirming, tuple(warnings), direction)
+
+
+def _confirming(
+    records: tuple[Record, ...], holdout: Record | None, fit_time: Interval | None, confirm_time: Interval | None
+) -> Confirming:
+    if holdout is not None:
+        return given(holdout)
+    return kept_closed(records, fit_time) if confirm_time is None else given(records[0], confirm_time)
+
+
+def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time: Interval | None) -> tuple[Split, ...]:
+    """What fits and what selects of each record; refuses what is too little."""
+    allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "`fit_time`") for r in records]
+    if confirm_time is not None:
+        kept = between(records[0], confirm_time, "`confirm_time`")
+        if kept.sum() < rules.FEWEST_TO_CONFIRM:
+            raise InputError(
+                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least "
+                f"{rules.FEWEST_TO_CONFIRM}"
+            )
+        allowed[0] &= ~kept
+    there = [
+        mask[start:stop].any()
+        for record, mask in zip(records, allowed, strict=True)
+        for start, stop in find_strokes(record.q_ref, record.period)
+    ]
+    few = sum(there) < FEWEST_STROKES
+    splits: list[Split] = []
+    for record, mask in zip(records, allowed, strict=True):
+        splits.append(split(record, mask, sum(len(made.strokes) for made in splits), PARTS if few else 1))
+    fits, selects, used = (int(sum(getattr(s, part).sum() for s in splits)) for part in ("fit", "select", "used"))
+    if fits < rules.FEWEST_TO_FIT or selects < rules.FEWEST_TO_SELECT:
+        raise InputError(
+            f"{', '.join(record.name for record in records)}: found {used} samples to fit, in "
+            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {rules.FEWEST_TO_FIT} to fit and "
+            f"{rules.FEWEST_TO_SELECT} others to select from: record longer (identify needs less)"
+        )
+    return tuple(splits)
+
+
+def _as_the_axis_says(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate:
+    """The axis file's numbers, with the effect that explains what the controller adds to its law."""
+    additions = [law.addition for law in laws]
+    first = next((addition for addition in additions if addition is not None), None)
+    if first is None:
+        return start
+    effect, values = first
+    # A record without the disturbance has none of it, whatever its rhythm elsewhere.
+    idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, values)
+    rows = [idle if addition is None or addition[0] is not effect else addition[1] for addition in additions]
+    return start.with_effect(effect, np.array(rows))
+
+
+def between(record: Record, window: Interval, option: str) -> np.ndarray:
+    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; refuses an empty one."""
+    inside = (record.t >= window[0]) & (record.t < window[1])
+    if not inside.any():
+        raise InputError(
+            f"{option}: found {window[0]:g}:{window[1]:g} s, expected a part of {record.name}, which lasts "
+            f"{record.duration:.3g} s"
+        )
+    return inside

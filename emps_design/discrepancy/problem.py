@@ -1,0 +1,290 @@
+"""The records to explain and their noise, and a hypothesis about them: a candidate model simulated in closed loop.
+
+Residuals of models that were simulated before: a search comes back to them, with other noise or neighbours.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.discrepancy.least_squares import Candidate
+from emps_design.discrepancy.noise_floor import Whitening
+from emps_design.discrepancy.records import Recorded, Split, drive, followed, missing_while_off
+from emps_design.effects.effect import MASS
+from emps_design.laws import law_of
+from emps_design.records import Record
+from emps_design.simulation import Plant, Run
+
+MOST = 128e6  # bytes of residuals that are kept, those asked for last
+
+LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
+RANK = 1e-6  # of the largest singular value of several functions, below which a combination is none
+
+
+class Remembered:
+    """What was computed for the same objects and the same numbers; a copy or a pickle of it is empty.
+
+    >>> remembered, axis = Remembered(), object()
+    >>> remembered.get((axis,), [np.ones(1)], lambda: (np.zeros(2),))
+    (array([0., 0.]),)
+    >>> remembered.get((axis,), [np.ones(1)], lambda: (np.ones(2),))
+    (array([0., 0.]),)
+    """
+
+    def __init__(self) -> None:
+        # The objects are kept with the arrays: as long as they are, nothing else has their ids.
+        self._kept: OrderedDict[Any, tuple[Sequence[Any], tuple[np.ndarray, ...]]] = OrderedDict()
+
+    def __reduce__(self) -> tuple[type[Remembered], tuple[()]]:
+        return Remembered, ()
+
+    def get(
+        self,
+        objects: Sequence[Any],
+        numbers: Sequence[np.ndarray],
+        compute: Callable[[], tuple[np.ndarray, ...]],
+    ) -> tuple[np.ndarray, ...]:
+        """What ``compute`` gave for ``objects`` and ``numbers``, or gives now: arrays that are not to be changed."""
+        key = (*map(id, objects), *(one.tobytes() for one in numbers))
+        found = self._kept.pop(key, None)  # by one thread: another that asks at the same time computes it too
+        if found is None:
+            arrays = compute()
+            for one in arrays:
+                one.flags.writeable = False
+            found = objects, arrays
+        self._kept[key] = found
+        most = MOST // max(1, sum(one.nbytes for one in found[1]))
+        while len(self._kept) > most:
+            self._kept.popitem(last=False)
+        return found[1]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Records of one axis and what is needed to judge a model of them.
+
+    ``states`` are functions (n, k) along each record that explain nothing: what they could follow of the used samples
+    is taken from every residual. ``loudness`` (n,) along each record is how large noise gets in the innovations, which
+    count for that much less. ``acting`` is a force (n,) [N] on the carriage along each record besides what was
+    measured. ``known`` is what was read from the records before, ``remembered`` are residuals of the same records,
+    judged with other noise too.
+    """
+
+    axis: Axis
+    records: tuple[Record, ...]
+    splits: tuple[Split, ...]
+    whitening: Whitening
+    states: tuple[np.ndarray, ...] = ()
+    loudness: tuple[np.ndarray, ...] = ()
+    acting: tuple[np.ndarray, ...] = ()
+    known: Recorded | None = field(default=None, compare=False, repr=False)
+    remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.known is None or self.known.records is not self.records or self.known.axis is not self.axis:
+            object.__setattr__(self, "known", Recorded(self.axis, self.records))
+
+    @property
+    def recorded(self) -> Recorded:
+        """What is read from the records once, whatever model or noise they are judged by."""
+        assert self.known is not None
+        return self.known
+
+    @property
+    def period(self) -> float:
+        """Sampling period [s], one for all records."""
+        return self.records[0].period
+
+    @property
+    def follows(self) -> bool:
+        """Whether models follow the recorded motion, for want of the controller that made it."""
+        return self.recorded.follows
+
+    def compared(self, left: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """What counts of the forces (n,) [N] that a model leaves, one per record: all, unless it follows the motion."""
+        return tuple(map(followed, left, self.records, self.recorded.bands)) if self.follows else left
+
+    def only(self, record: int) -> Problem:
+        """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
+        one = slice(record, record + 1)
+        alone = ("records", "splits", "states", "loudness", "acting")
+        return replace(self, **{name: getattr(self, name)[one] for name in alone})
+
+    def with_acting(self, forces: Sequence[np.ndarray]) -> Problem:
+        """The same records with ``forces`` (n,) [N] on the carriage, one per record, besides what acts already."""
+        acting = tuple(a + b for a, b in zip(self.acting, forces, strict=True)) if self.acting else tuple(forces)
+        return replace(self, acting=acting, remembered=Remembered())
+
+    def with_whitening(self, whitening: Whitening) -> Problem:
+        """The same records judged with other noise."""
+        return replace(self, whitening=whitening)
+
+    def whiten(self, forces: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+        """Innovations of ``forces`` [N], (n,) or (n, k) per record in units of noise, less what ``states`` follow."""
+        innovations = tuple(np.apply_along_axis(self.whitening.apply, 0, force) for force in forces)
+        if self.loudness:
+            innovations = tuple((x.T / loud).T for x, loud in zip(innovations, self.loudness, strict=True))
+        if not self.states:
+            return innovations
+        return tuple(x - basis @ (basis.T @ x) for x, basis in zip(innovations, self._followed, strict=True))
+
+    def unfollowed(self, forces: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """``forces`` (n,) [N], one per record, less what ``states`` follow."""
+        return tuple(map(self.whitening.undo, self.whiten(forces))) if self.states else forces
+
+    def noise(self, seed: int) -> tuple[np.ndarray, ...]:
+        """Force [N] drawn from the noise by ``seed``, (n,) per record."""
+        generator = np.random.default_rng(seed)
+        return tuple(self.whitening.undo(generator.standard_normal(len(record))) for record in self.records)
+
+    @cached_property
+    def _followed(self) -> tuple[np.ndarray, ...]:
+        """An orthonormal basis (n, k) per record of what ``states`` follow of the innovations, 0 where none is used."""
+        columns = replace(self, states=()).whiten(self.states)
+        return tuple(orthonormal(one * used[:, None]) for one, used in zip(columns, self.masks("used"), strict=True))
+
+    def masks(self, part: str) -> tuple[np.ndarray, ...]:
+        """Boolean samples of ``part``: "fit", "select" or "used"."""
+        return tuple(getattr(s, part) for s in self.splits)
+
+    def pick(self, signals: tuple[np.ndarray, ...], part: str) -> list[np.ndarray]:
+        """The samples of ``part`` of ``signals``, one array per record."""
+        return [signal[mask] for signal, mask in zip(signals, self.masks(part), strict=True)]
+
+    def gather(self, signals: tuple[np.ndarray, ...], part: str) -> np.ndarray:
+        """The samples of ``part`` of ``signals``, one per record, in one vector."""
+        return np.concatenate(self.pick(signals, part))
+
+    def strokes(self, part: str) -> list[slice]:
+        """The strokes of all records as pieces of the samples of ``part``, gathered in one vector."""
+        edges, before = {0}, 0
+        for split, mask in zip(self.splits, self.masks(part), strict=True):
+            seen = np.concatenate(([0], np.cumsum(mask)))
+            edges.update(before + int(seen[stop]) for _, stop in split.strokes)
+            before += int(seen[-1])
+            edges.add(before)
+        return [slice(start, stop) for start, stop in itertools.pairwise(sorted(edges))]
+
+    def samples(self, part: str) -> int:
+        """Number of samples of ``part``: the whitened cost that noise alone leaves."""
+        return int(sum(mask.sum() for mask in self.masks(part)))
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A candidate model of the records of a problem: what it simulates, and what it leaves of the motor force.
+
+    The encoder is taken as exact, so that the residual is a smooth function of the parameters; its quantisation is
+    part of the noise.
+    """
+
+    problem: Problem
+    model: Candidate
+
+    def with_model(self, model: Candidate) -> Hypothesis:
+        """Another model of the same records."""
+        return Hypothesis(self.problem, model)
+
+    def as_given(self) -> Hypothesis:
+        """The same effects on the axis file's baseline."""
+        return self.with_model(replace(self.model, baseline=self.problem.axis.mechanics.array()))
+
+    def only(self, record: int) -> Hypothesis:
+        """The same model of one of the records, by its number."""
+        return Hypothesis(self.problem.only(record), self.model.only(record))
+
+    def simulate(self, record: int, **drive: Any) -> Run:
+        """Closed-loop simulation with the numbers of ``record``, driven as :meth:`Plant.closed_loop` says.
+
+        The law, where none is given, has the gains of the record.
+        """
+        axis, measured = self.problem.axis, self.problem.records[record]
+        parameters = self.model.parameters(record)
+        if "law" not in drive:
+            drive["law"] = law_of(axis, measured.period, measured.extra)
+        plant = Plant(axis, list(zip(self.model.effects, parameters, strict=True)))
+        return plant.closed_loop(**drive, baseline=self.model.baseline, quantise=False, tolerance=LOOSE)
+
+    def driven(self, record: int) -> dict[str, Any]:
+        """Keywords of :meth:`simulate` that make it start and move as record number ``record`` did."""
+        recorded, mass = self.problem.recorded, self.model.baseline[MASS]
+        return drive(recorded.starts[record], recorded.axis, recorded.records[record], mass, recorded.bands[record])
+
+    def run(self, record: int, disturbance: np.ndarray | None = None) -> Run:
+        """Simulation of one record from ``q_ref`` alone (of the recorded motion without a controller).
+
+        ``disturbance`` (n,) [N] acts on the carriage besides what was measured and what acts in the problem.
+        """
+        how = self.driven(record)
+        for force in (disturbance, *self.problem.acting[record : record + 1]):
+            if force is not None:
+                how["disturbance"] = force + (0.0 if how["disturbance"] is None else how["disturbance"])
+        return self.simulate(record, **how)
+
+    def runs(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[Run, ...]:
+        """Simulations of all records, with ``disturbance`` (n,) [N] per record on the carriage."""
+        pushes = disturbance or (None,) * len(self.problem.records)
+        return tuple(self.run(record, push) for record, push in enumerate(pushes))
+
+    def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
+        """Measured minus simulated motor force [N], one array (n,) per record, under ``disturbance`` as in `runs`.
+
+        A motor that is switched off has no force to compare: there it is what the law would ask for. Where the model
+        follows the recorded motion, only what the law that follows can tell is compared.
+        """
+        if disturbance is not None:
+            return self._residuals(disturbance)
+        problem, model = self.problem, self.model
+        objects = (problem.axis, *problem.records, *model.effects)
+        return problem.remembered.get(objects, (model.baseline, *model.values), self._residuals)
+
+    def _residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
+        problem, recorded = self.problem, self.problem.recorded
+        left = tuple(
+            force - run.force + (0.0 if asked is None else missing_while_off(problem.axis, record, asked, run.q))
+            for force, record, asked, run in zip(
+                recorded.forces, problem.records, recorded.asked, self.runs(disturbance), strict=True
+            )
+        )
+        return problem.compared(left)
+
+    def whitened(self) -> tuple[np.ndarray, ...]:
+        """Innovations of :meth:`residuals` in units of the noise."""
+        return self.problem.whiten(self.residuals())
+
+    def residual(self, part: str) -> np.ndarray:
+        """Innovations on the samples of ``part`` of all records, in one vector."""
+        return self.problem.gather(self.whitened(), part)
+
+    def excess(self) -> float:
+        """Whitened cost of all that may be used over that of noise alone."""
+        innovations = self.residual("used")
+        return float(innovations @ innovations) - innovations.size
+
+    def left(self) -> list[np.ndarray]:
+        """What the model leaves of the force [N] on the used samples, one array (n_used,) per record.
+
+        Without what the problem's ``states`` follow.
+        """
+        return self.problem.pick(self.problem.unfollowed(self.residuals()), "used")
+
+
+def of_unit_length(columns: np.ndarray) -> np.ndarray:
+    """``columns`` (n, k) of length 1, without those that are zero."""
+    size = np.linalg.norm(columns, axis=0)
+    moving = size > 0
+    return columns / size if moving.all() else columns[:, moving] / size[moving]
+
+
+def orthonormal(columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis (n, k) of ``columns``; of columns that are all zero it has none."""
+    basis, singular, _ = np.linalg.svd(of_unit_length(columns), full_matrices=False)
+    return basis[:, singular > RANK * singular.max(initial=0.0)]

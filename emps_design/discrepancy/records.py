@@ -1,0 +1,260 @@
+"""Records of one axis, with what is read from them once, whatever model and whatever noise they are judged by.
+
+What drives the simulation of a record: its reference through the controller, or the recorded motion itself.
+
+Where the controller is not known (``controller.kind = "none"``) the model becomes an inverse model: it gets the
+recorded voltage, and a position law of this module adds what keeps it on the recorded motion. That correction is the
+force the model lacks, seen through the bandwidth of the law, with every hidden state of the model in its place.
+
+Whole strokes and repeated laps of a record: what is fitted on, what selects, what repeats.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from emps_design.axis import Axis
+from emps_design.effects import Motion
+from emps_design.effects.sizes import TURN
+from emps_design.identification.filters import low_pass, motion
+from emps_design.laws import NONE, law_of
+from emps_design.laws.library import position_pd
+from emps_design.observer import motor_force
+from emps_design.records import Record
+from emps_design.simulation.run import driven_by
+
+IN_BAND = 0.9  # of the power of a command
+BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
+LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
+FAST_SAMPLES = 12  # the same where the command itself is that fast
+COMPARED = 1.3  # of that bandwidth, up to which forces count: beyond it the law passes on the encoder's noise
+POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
+
+CUTOFF_HZ = 60.0  # up to which forces are looked at where the command is no faster
+FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
+NOISY = 0.03  # of an acceleration: most that the noise of the encoder may be in the band that is looked at
+
+START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
+FEWEST_STROKES, PARTS = 3, 4  # fewer strokes than that, of all records, are taken in so many parts each
+MOST_TURNS = 12  # of a shaft that turns on and on: pieces that are whole strokes to it
+
+
+def band(record: Record) -> float:
+    """The frequency [Hz] below which nine tenths of what the command changes lie.
+
+    >>> t = np.arange(4000) * 1e-3
+    >>> round(band(Record(t, t, t, np.sin(2 * np.pi * 72 * t), 1e-3)))
+    72
+    """
+    power = np.cumsum(np.abs(np.fft.rfft(record.u - record.u.mean())) ** 2)
+    return float(np.searchsorted(power, IN_BAND * power[-1])) / (len(record) * record.period)
+
+
+def bandwidth(record: Record, band_hz: float) -> float:
+    """Bandwidth [Hz] of the velocity loop that follows ``record``, whose :func:`band` is ``band_hz``."""
+    usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
+    return max(usual, min(band_hz, _fastest(record)))
+
+
+def _fastest(record: Record) -> float:
+    """The highest bandwidth [Hz] at which ``record`` can be followed by a law that is computed once a sample."""
+    return 1 / (FAST_SAMPLES * record.period)
+
+
+def followed(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
+    """What of a ``force`` (n,) [N] that keeps a model on ``record`` is for its motion, not for the encoder's noise."""
+    return low_pass(force, COMPARED * bandwidth(record, band_hz), record.period)
+
+
+def drive(start: dict[str, Any], axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
+    """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
+
+    ``start`` is :func:`~emps_design.simulation.run.driven_by` of ``axis`` and ``record``; ``mass`` [kg] is the
+    model's: a heavier one would else be followed less, and leave less of the force, and the loop of a much lighter one
+    would be too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
+    """
+    if "law" in start:
+        return dict(start)
+    own = bandwidth(record, band_hz)
+    rate = 2 * np.pi * own  # rad/s
+    moved = min(np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0), mass * _fastest(record) / own)
+    kp, kv = POSITION_SHARE * rate, moved * rate / axis.drive.gain
+    law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
+    past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
+    # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.
+    lead = (record.q - past) / (2 * record.period) / kp
+    return {**start, "law": law, "reference": record.q + lead, "voltage_noise": record.u}
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """The ``records`` of an ``axis``."""
+
+    axis: Axis
+    records: tuple[Record, ...]
+
+    @property
+    def follows(self) -> bool:
+        """Whether models follow the recorded motion, for want of the controller that made it."""
+        return bool(self.axis.controller.kind == NONE)
+
+    @cached_property
+    def starts(self) -> tuple[dict[str, Any], ...]:
+        """What drives the simulation of every record, but for a law that follows its motion."""
+        return tuple(driven_by(self.axis, record) for record in self.records)
+
+    @cached_property
+    def bands(self) -> tuple[float, ...]:
+        """The :func:`band` of every record [Hz]."""
+        return tuple(band(record) for record in self.records)
+
+    @cached_property
+    def forces(self) -> tuple[np.ndarray, ...]:
+        """The motor force (n,) [N] that the command of every record asks for."""
+        return tuple(motor_force(self.axis, record) for record in self.records)
+
+    @cached_property
+    def asked(self) -> tuple[np.ndarray | None, ...]:
+        """What the law asks for (n,) along every record in which the motor is switched off, None of the others."""
+        off = [not self.follows and record.enable is not None and not record.enable.all() for record in self.records]
+        return tuple(
+            _commands(self.axis, record, record.q) if one else None
+            for record, one in zip(self.records, off, strict=True)
+        )
+
+    @cached_property
+    def motions(self) -> tuple[Motion, ...]:
+        """The motion of every record in the band in which its acceleration is seen."""
+        return tuple(motion(record, seen_up_to(record)) for record in self.records)
+
+
+def seen_up_to(record: Record) -> float:
+    """Band [Hz] in which the encoder's noise is a small part of the acceleration, from ``CUTOFF_HZ`` on.
+
+    An inertia that is missed changes how the loop answers up to where it has gain. The noise, taken as white, is what
+    is seen of the position beyond any motion, its usual size: impacts are motion.
+    """
+    fastest = FASTEST / record.period
+    beyond = np.abs(record.q - low_pass(record.q, fastest, record.period))
+    noise = (np.median(beyond) / 0.6745) ** 2 / (1.0 - 2.0 * FASTEST)
+    density = 2.0 * record.period * noise * (2.0 * np.pi) ** 4  # of the acceleration over f^4 [m^2/s^4/Hz^5]
+    size = np.var(motion(record, CUTOFF_HZ).a)
+    most = (5.0 * NOISY**2 * size / max(density, 1e-300)) ** 0.2
+    return float(np.clip(most, CUTOFF_HZ, fastest))
+
+
+def _commands(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
+    """What the law of ``axis`` would ask for (n,) along the positions ``q`` (n,) [m], in units of the command."""
+    law = law_of(axis, record.period, record.extra)
+    return law.commands(law.followed(record), q, np.inf, record.f_ext)
+
+
+def missing_while_off(axis: Axis, record: Record, wanted: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """What the law ``wanted`` along ``record``, less what it would along ``q`` (n,) [N]; 0 while the motor is on."""
+    more = motor_force(axis, replace(record, u=wanted - _commands(axis, record, q), enable=None))
+    return np.where(record.enable == 0.0, more, 0.0)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Boundaries of strokes and laps [samples], and the samples that fit and that select, as boolean arrays.
+
+    Laps alternate between fitting and selecting where there are more than three (the start of the first is left out),
+    strokes otherwise, or parts of strokes where there are too few, so that whatever changes with time is seen by both.
+    """
+
+    strokes: tuple[tuple[int, int], ...]
+    lap: int
+    fit: np.ndarray
+    select: np.ndarray
+
+    @property
+    def used(self) -> np.ndarray:
+        """Samples that either fit or select."""
+        return self.fit | self.select
+
+    def until(self, stop: int) -> Split:
+        """The same of the first ``stop`` samples."""
+        strokes = tuple((start, min(end, stop)) for start, end in self.strokes if start < stop)
+        return Split(strokes, self.lap, self.fit[:stop], self.select[:stop])
+
+
+def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, parts: int = 1) -> Split:
+    """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all.
+
+    ``before`` is the number of strokes of the records before this one, so that single strokes take turns too; ``parts``
+    into how many each is taken apart.
+    """
+    n = len(record)
+    allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
+    allowed[:START_UP] = False
+    # Nor behind a gap, in which the model went its own way.
+    allowed &= np.convolve(record.in_gap, np.ones(2 * START_UP + 1), "same") < 0.5
+    strokes = find_strokes(record.q_ref, record.period)
+    if parts > 1:
+        strokes = tuple(part for start, stop in strokes for part in _parts(record.q, start, stop, parts))
+    lap = find_lap(record.q_ref)
+    laps = int(allowed.sum()) // lap if lap else 0
+    fit = np.zeros(n, bool)
+    if laps >= 3:
+        fit = (np.arange(n) // lap) % 2 == 0
+    else:
+        for index, (start, stop) in enumerate(strokes):
+            fit[start:stop] = (before + index) % 3 != 2
+    return Split(strokes, lap, fit & allowed, ~fit & allowed)
+
+
+def _parts(q: np.ndarray, start: int, stop: int, count: int) -> list[tuple[int, int]]:
+    """``count`` parts of a stroke of ``q`` (n,), of as much time and travel together: a long rest tells little.
+
+    >>> _parts(np.concatenate([np.arange(100.0), np.full(300, 99.0)]), 0, 400, 2)
+    [(0, 80), (80, 400)]
+    """
+    travel = np.cumsum(np.abs(np.diff(q[start:stop], prepend=q[start])))
+    spent = np.arange(stop - start) / (stop - start) + travel / max(float(travel[-1]), 1e-300)
+    edges = [start, *(start + np.searchsorted(spent, spent[-1] * np.arange(1, count) / count)).tolist(), stop]
+    return list(itertools.pairwise(edges))
+
+
+def find_lap(q_ref: np.ndarray) -> int:
+    """Return the number of samples after which ``q_ref`` (n,) [m] repeats itself, 0 where it does not within n/2."""
+    n = q_ref.size
+    centred = q_ref - q_ref.mean()
+    energy = np.concatenate(([0.0], np.cumsum(centred**2)))
+    spectrum = np.fft.rfft(centred, 2 * n)
+    product = np.fft.irfft(spectrum * spectrum.conj(), 2 * n)[:n]
+    lags = np.arange(n)
+    difference = energy[n - lags] + (energy[n] - energy[lags]) - 2 * product
+    mean_square = np.maximum(difference, 0.0) / (n - lags)
+    limit = 1e-8 * centred.var()
+    far = int(np.argmax(mean_square > 1e-2 * centred.var()))  # leave the neighbourhood of lag 0 first
+    close = np.nonzero(mean_square[far : n // 2 + 1] < limit)[0]
+    if far == 0 or close.size == 0:
+        return 0
+    first = far + int(close[0])
+    last = first + int(np.argmax(np.append(np.diff(close[:50]) > 1, True)))
+    return first + int(np.argmin(mean_square[first : last + 1]))
+
+
+def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...]:
+    """Cut where the reference (n,) [m] changes direction; standstill belongs to the stroke before it.
+
+    A shaft that turns on and on the same way never does: there every piece of at least a turn, which meets the same
+    places again, is a stroke.
+    """
+    velocity = np.gradient(q_ref, period)
+    direction = np.sign(velocity) * (np.abs(velocity) > 1e-3 * np.abs(velocity).max())
+    moving = np.nonzero(direction)[0]
+    if moving.size == 0:
+        return ((0, q_ref.size),)
+    turns = moving[1:][np.diff(direction[moving]) != 0]
+    edges = [0, *(int(turn) for turn in turns), q_ref.size]
+    if len(edges) == 2:
+        count = min(max(1, int(np.ptp(q_ref) / TURN)), MOST_TURNS)
+        edges = np.linspace(0, q_ref.size, count + 1).astype(int).tolist()
+    return tuple((a, b) for a, b in itertools.pairwise(edges) if b - a > 20)

@@ -1,0 +1,309 @@
+"""Kinds of unknown force, each with few free numbers: what an axis may have that no effect of the library describes.
+
+A smooth function of the state could be nearly anything, and takes most friction with it. An unknown force of one kind
+leaves alone what is of another kind, so that effects are found beside it. What it does to the motor force is that of
+the closed loop: a column is simulated as a force on the carriage, and not taken for its own answer.
+
+The force a model misses: what a motor would have to add to its closed-loop simulation to move as measured.
+
+With the measured and the simulated run of the same reference side by side, and both sliding in the same direction,
+
+    missing = (F - F_s) - M (qdd - qdd_s) - F_v (qd - qd_s)
+
+whatever hidden states the model has, because they are in its simulation. The hold is in both runs alike.
+
+Smooth functions of the state of the axis, with no physics assumed: what an unknown force may depend on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.problem import RANK, Hypothesis
+from emps_design.discrepancy.records import CUTOFF_HZ, FASTEST
+from emps_design.effects import Motion
+from emps_design.effects.effect import MASS, VISCOUS
+from emps_design.errors import SimulationError
+from emps_design.identification.filters import held_force, motion
+from emps_design.observer import motor_share
+
+REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
+SELDOM = 0.02  # of what is used: where no more is away from reversals, the whole is looked at
+SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
+
+DEGREE = 4  # of the polynomials in position and in speed
+FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: if it lasts a stroke it is a spring
+RESTING_TIME = 0.04  # s, in which a contact ages at rest
+FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
+
+COARSE = 6  # degree of the polynomials in position
+FINE = 12  # the same where that leaves clearly less
+SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
+PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
+
+# Forces (n, k) along a measured motion, which the force has taken part in, and the simulated position (n,) [m].
+Columns = Callable[[Motion, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class MissingForce:
+    """Motion of a record (``motion.tau`` as the model predicts it), missing force (n,) [N], trusted where ``away``."""
+
+    motion: Motion
+    force: np.ndarray
+    away: np.ndarray
+
+
+def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tuple[MissingForce, ...]:
+    """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase.
+
+    By default at ``CUTOFF_HZ``, or at twice the band of the command where that is faster.
+    """
+    problem, baseline = hypothesis.problem, hypothesis.model.baseline
+    gain, bands, result = problem.axis.drive.gain, problem.recorded.bands, []
+    for record, run, split, band in zip(problem.records, hypothesis.runs(), problem.splits, bands, strict=True):
+        cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band, FASTEST / record.period))
+        share = motor_share(problem.axis, record)
+        acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
+        (measured, acted), (simulated, predicted) = side_by_side(
+            lambda seen, driven, cut=cut: (motion(seen, cut), held_force(driven, gain, cut)),
+            [(record, acting), (played, played)],
+        )
+        inertia = baseline[MASS] * (measured.a - simulated.a)
+        viscous = baseline[VISCOUS] * (measured.v - simulated.v)
+        force = acted - predicted - inertia - viscous
+        away = away_from_reversals(measured.v, record.period) & split.used
+        if away.sum() <= SELDOM * split.used.sum():  # what reverses nearly all the time is seen at reversals or never
+            away = away_from_reversals(measured.v, record.period, 0.0) & split.used
+        result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
+    return tuple(result)
+
+
+def away_from_reversals(v: np.ndarray, period: float, margin: float = REVERSAL_MARGIN) -> np.ndarray:
+    """Samples (n,) bool in which ``v`` (n,) [m/s] keeps its sign for ``margin`` [s] on both sides."""
+    sliding = np.abs(v) > max(SLOWEST, 0.01 * float(np.abs(v).max()))
+    return sliding & ~near_reversals(v, period, margin)
+
+
+def near_reversals(v: np.ndarray, period: float, margin: float) -> np.ndarray:
+    """Samples (n,) bool within ``margin`` [s] of a change of sign of ``v`` (n,)."""
+    near = np.zeros(v.size, bool)
+    width = max(1, round(margin / period))
+    for edge in np.nonzero(np.diff(np.sign(v)) != 0)[0]:
+        near[max(0, edge - width) : edge + width + 1] = True
+    return near
+
+
+def since_reversal(v: np.ndarray) -> np.ndarray:
+    """Samples (n,) since ``v`` (n,) last changed its sign.
+
+    >>> since_reversal(np.array([1.0, 2.0, -1.0, -1.0, -2.0])).tolist()
+    [0, 1, 0, 1, 2]
+    """
+    index = np.arange(v.size)
+    turns = np.concatenate(([True], np.diff(np.sign(v)) != 0))
+    return index - np.maximum.accumulate(np.where(turns, index, 0))
+
+
+def beside_state(hypothesis: Hypothesis) -> Hypothesis:
+    """The same model, judged by what no smooth function of the state that it simulates could follow."""
+    return Hypothesis(replace(hypothesis.problem, states=states_of(hypothesis)), hypothesis.model)
+
+
+def states_of(hypothesis: Hypothesis) -> tuple[np.ndarray, ...]:
+    """:func:`smooth_of_state` along the motion that ``hypothesis`` simulates, one array (n, k) per record."""
+    return tuple(smooth_of_state(run.q, hypothesis.problem.period) for run in hypothesis.runs())
+
+
+def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
+    """Smooth functions (n, k) of position ``q`` (n,) [m], velocity, and what came before: no physics assumed.
+
+    A surface over position and velocity for each direction, and what friction may remember.
+    """
+    from numpy.polynomial.chebyshev import chebvander
+
+    v = np.gradient(q, period)
+    direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
+    surface = along(q, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
+    surface = surface.reshape(q.size, -1)
+    remembered, count = (memories(q, period), faded(v, period)), surface.shape[1]
+    functions = np.empty((q.size, 2 * count + sum(part.shape[1] for part in remembered)))
+    np.multiply(surface, (direction > 0)[:, None], out=functions[:, :count])
+    np.multiply(surface, (direction <= 0)[:, None], out=functions[:, count : 2 * count])
+    np.concatenate(remembered, axis=1, out=functions[:, 2 * count :])
+    return functions
+
+
+def along(q: np.ndarray, degree: int) -> np.ndarray:
+    """Polynomials in position ``q`` (n,) [m], (n, ``degree`` + 1)."""
+    from numpy.polynomial.chebyshev import chebvander
+
+    return chebvander(2 * (q - q.min()) / np.ptp(q) - 1, degree)
+
+
+def slopes_along(q: np.ndarray, degree: int) -> np.ndarray:
+    """Derivatives [1/m] of the polynomials of :func:`along` with respect to ``q``."""
+    from numpy.polynomial.chebyshev import chebder
+
+    return along(q, degree - 1) @ chebder(np.eye(degree + 1), scl=2 / np.ptp(q))
+
+
+def memories(q: np.ndarray, period: float) -> np.ndarray:
+    """What friction may remember of the motion ``q`` (n,) [m] before, (n, k).
+
+    How long it rested, the way since a reversal, and fading memories of direction, and of motion at all.
+    """
+    v = np.gradient(q, period)
+    direction = np.tanh(v / SLOWEST)
+    way = np.cumsum(np.abs(v)) * period
+    way -= way[np.arange(q.size) - since_reversal(v)]
+    fading = np.exp(-way[:, None] / FADING_WAYS)
+    along_it = np.column_stack([rested(v, period), fading, faded(np.abs(direction), period)])
+    return np.column_stack([along_it * direction[:, None], faded(direction, period)])
+
+
+def faded(signal: np.ndarray, period: float) -> np.ndarray:
+    """Fading memories (n, k) of a ``signal`` (n,), one for each of ``FADING_TIMES``."""
+    from scipy.signal import lfilter
+
+    shares = [period / time for time in FADING_TIMES]
+    return np.column_stack([lfilter([share], [1.0, share - 1.0], signal) for share in shares])
+
+
+def rested(v: np.ndarray, period: float) -> np.ndarray:
+    """How far a contact has aged, 0 to 1, (n, k) along a velocity ``v`` (n,) [m/s]: at rest it does, sliding undoes it.
+
+    At rest within ``RESTING_TIME``, in sliding within each of ``FADING_TIMES``; aged in full at first.
+
+    >>> v = np.concatenate([np.zeros(3), np.ones(640), np.zeros(1000)])
+    >>> rested(v, 1e-3)[[2, 642, -1], -1].round(3).tolist()
+    [1.0, 0.368, 1.0]
+    """
+    slides, times = np.abs(v) > 0.5 * SLOWEST, np.array(FADING_TIMES)
+    states, now, begin = np.empty((v.size, times.size)), np.ones(times.size), 0
+    for end in np.append(np.flatnonzero(np.diff(slides)) + 1, v.size):
+        aim, own = (0.0, times) if slides[begin] else (1.0, RESTING_TIME)
+        states[begin:end] = aim + (now - aim) * np.exp(-period * np.arange(1, end - begin + 1)[:, None] / own)
+        now, begin = states[end - 1], end
+    return states
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of unknown force by its ``columns``: the force is any sum of them."""
+
+    name: str
+    columns: Columns
+
+    def beside_given(self) -> Kind:
+        """The same kind beside a model whose numbers are given: what it has numbers for is a part of the force."""
+        return replace(self, columns=lambda *seen: np.column_stack([self.columns(*seen), baseline(*seen)]))
+
+
+def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
+    """An inertia m(q) that varies along the travel, as of a crank: m a + m' v^2 / 2 (Lagrange), m a polynomial."""
+    shapes, slopes = along(measured.q, degree), slopes_along(measured.q, degree)
+    return (shapes * measured.a[:, None] + 0.5 * slopes * measured.v[:, None] ** 2)[:, 1:]
+
+
+def damping(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
+    """Friction in proportion to velocity, by polynomials in position."""
+    return along(measured.q, degree)[:, 1:] * measured.v[:, None]
+
+
+def damping_each_way(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
+    """The same for each direction by itself."""
+    speed = np.abs(measured.v)[:, None]
+    return np.column_stack([damping(measured, simulated, degree), along(measured.q, degree) * speed])
+
+
+def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
+    """Friction that remembers the motion before: the simulated one, which stands still where the encoder does not.
+
+    Not only whether it moved, but how fast. What remembers velocity with its sign would be a spring, or viscous.
+    """
+    v = np.gradient(simulated, measured.period)
+    fast = faded(np.abs(v), measured.period) * np.tanh(v / SLOWEST)[:, None]
+    return np.column_stack([memories(simulated, measured.period), fast])
+
+
+def baseline(measured: Motion, simulated: np.ndarray) -> np.ndarray:
+    """What the four numbers of a model act on: acceleration, velocity, its direction, and 1."""
+    v = measured.v
+    return np.column_stack([measured.a, v, np.tanh(v / SLOWEST), np.ones_like(v)])
+
+
+def _by_degree(name: str, columns: Callable[..., np.ndarray]) -> tuple[Kind, ...]:
+    return tuple(Kind(name, partial(columns, degree=degree)) for degree in (COARSE, FINE))
+
+
+# Each with few columns and with many, and what is part of another kind before it.
+KINDS: tuple[tuple[tuple[Kind, ...], ...], ...] = (
+    (_by_degree("an inertia that varies along the travel", inertia),),
+    (
+        _by_degree("viscous friction that varies along the travel", damping),
+        _by_degree("viscous friction that varies along the travel, each way by itself", damping_each_way),
+    ),
+    ((Kind("friction that remembers the motion before", memory),),),
+)
+
+
+def beside_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
+    """The same model, judged by what no unknown force of a ``kind`` could do beside it.
+
+    What the force does to the loop is taken as linear. Raises :class:`SimulationError` where the model does not run
+    with a force a tenth as large as the one that it leaves.
+    """
+    states = _answers(hypothesis, _columns(hypothesis, kind))
+    return Hypothesis(replace(hypothesis.problem, states=states), hypothesis.model)
+
+
+def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
+    """:func:`beside_kind` about the loop on which the force of that kind acts that explains most of what is left.
+
+    A force that is a good part of all that moves the carriage changes how the loop answers; of a motor at its limit so
+    much that only a share of ``SHARES`` of it may leave less. Raises as that does.
+    """
+    problem = replace(hypothesis.problem, states=())
+    hypothesis = Hypothesis(problem, hypothesis.model)
+    columns = _columns(hypothesis, kind)
+    left, answers = (problem.whiten(x) for x in (hypothesis.residuals(), _answers(hypothesis, columns)))
+    shares = [
+        np.linalg.lstsq(answer[used], one[used], rcond=RANK)[0]
+        for answer, one, used in zip(answers, left, problem.masks("used"), strict=True)
+    ]
+    forces = [column @ share for column, share in zip(columns, shares, strict=True)]
+    before = hypothesis.excess()
+    for part in SHARES:
+        acted = Hypothesis(problem.with_acting([part * force for force in forces]), hypothesis.model)
+        with suppress(SimulationError):
+            if acted.excess() < before:
+                return beside_kind(acted, kind)
+    return beside_kind(hypothesis, kind)
+
+
+def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
+    """Forces [N] of a ``kind``, (n, k) along each record, each of ``PUSH`` of the size of what the model leaves."""
+    columns = []
+    measured = hypothesis.problem.recorded.motions
+    for seen, run, left in zip(measured, hypothesis.runs(), hypothesis.residuals(), strict=True):
+        one = kind.columns(seen, run.q)
+        rms = np.sqrt(np.mean(one * one, axis=0))
+        columns.append(one * (PUSH * np.std(left) / np.maximum(rms, 1e-30)))
+    return columns
+
+
+def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """What each of the ``columns`` [N], (n, k) per record, changes in the motor force [N] as a push of the carriage."""
+    whole = hypothesis.residuals()
+    pushes = zip(*(np.ascontiguousarray(one.T) for one in columns), strict=True)
+    pushed = side_by_side(hypothesis.residuals, [(push,) for push in pushes])
+    return tuple(
+        np.column_stack([a - b for b in there]) for a, there in zip(whole, zip(*pushed, strict=True), strict=True)
+    )

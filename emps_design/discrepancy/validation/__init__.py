@@ -1,1 +1,0 @@
-"""What a record that nothing was decided on says."""
