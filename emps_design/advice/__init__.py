@@ -12,14 +12,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from emps_design.advice.advice import CAUTION as CAUTION
-from emps_design.advice.advice import DO_NOT_RUN as DO_NOT_RUN
-from emps_design.advice.advice import LEVELS as LEVELS
-from emps_design.advice.advice import SAFE as SAFE
-from emps_design.advice.advice import Advice as Advice
-from emps_design.advice.advice import Asked, flag_of, nearest_command, sentence
-from emps_design.advice.advice import DESIGNS
-from emps_design.advice.advice import RECORDS, identify
+from emps_design.advice.advice import (
+    CAUTION as CAUTION,
+    DESIGNS,
+    DO_NOT_RUN as DO_NOT_RUN,
+    LEVELS as LEVELS,
+    RECORDS,
+    SAFE as SAFE,
+    Advice as Advice,
+    Asked,
+    flag_of,
+    identify,
+    nearest_command,
+    sentence,
+)
 
 JUDGES: dict[str, Callable[[Mapping[str, Any], Asked], Advice]] = {**DESIGNS, **RECORDS}
 

@@ -267,8 +267,7 @@ def progress_bar(show: bool = True) -> Iterator[Progress]:
         yield untold
     elif sys.stderr.isatty():
         from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-        from rich.progress import Progress as Bar
+        from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn
 
         columns = (
             TextColumn("{task.description}"),

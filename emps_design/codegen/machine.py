@@ -53,8 +53,7 @@ from emps_design.codegen.program import (
 from emps_design.codegen.reader import LARGEST_POWER, FunctionReader, product, read_into, real, source_tree
 from emps_design.errors import InputError
 from emps_design.simulation import Plant
-from emps_design.simulation.kernels import compile as compiled
-from emps_design.simulation.kernels import hold_loop
+from emps_design.simulation.kernels import compile as compiled, hold_loop
 from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.plant import HOOKS
 

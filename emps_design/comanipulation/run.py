@@ -51,8 +51,7 @@ from emps_design.simulation.environment import HAND, Hand, hand_force
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address, built_in, cached, inlined, pointer
 from emps_design.simulation.kernels.friction_period import advance, response, uneventful
-from emps_design.simulation.kernels.hold_loop import DONE
-from emps_design.simulation.kernels.hold_loop import run as run_samples
+from emps_design.simulation.kernels.hold_loop import DONE, run as run_samples
 from emps_design.simulation.kernels.lanes import LANES, lane, room, row
 from emps_design.simulation.kernels.motion import GAIN, LIMIT, PERIOD, RESOLUTION, encoded, friction_of
 from emps_design.simulation.plant import Plant, Prepared

@@ -33,9 +33,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.advice.advice import SAFE_GAIN_MARGIN as SAFE_GAIN_MARGIN
-from emps_design.advice.advice import SAFE_PHASE_MARGIN_DEG as SAFE_PHASE_MARGIN_DEG
-from emps_design.advice.advice import where_in_words as where_in_words
+from emps_design.advice.advice import (
+    SAFE_GAIN_MARGIN as SAFE_GAIN_MARGIN,
+    SAFE_PHASE_MARGIN_DEG as SAFE_PHASE_MARGIN_DEG,
+    where_in_words as where_in_words,
+)
 from emps_design.axis import Axis
 from emps_design.control import sampled
 from emps_design.control.discretisation import (

@@ -22,31 +22,15 @@ from pydantic import Discriminator, Field, Tag
 from emps_design.errors import AxisError
 from emps_design.laws.estimators import (
     BACKWARD as BACKWARD,
-)
-from emps_design.laws.estimators import (
     TWO_TAP as TWO_TAP,
-)
-from emps_design.laws.estimators import (
     WORDS,
+    Finite as Finite,
+    Group as Group,
+    NonNegative as NonNegative,
+    Positive as Positive,
     VelocityEstimator,
     in_words,
-)
-from emps_design.laws.estimators import (
-    Finite as Finite,
-)
-from emps_design.laws.estimators import (
-    Group as Group,
-)
-from emps_design.laws.estimators import (
-    NonNegative as NonNegative,
-)
-from emps_design.laws.estimators import (
-    Positive as Positive,
-)
-from emps_design.laws.estimators import (
     parameter as parameter,
-)
-from emps_design.laws.estimators import (
     unit_of as unit_of,
 )
 

@@ -22,9 +22,7 @@ from emps_design.effects.effect import Kernel
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
 from emps_design.simulation.environment import Hand, Wall
-from emps_design.simulation.kernels import baseline as core
-from emps_design.simulation.kernels import hold_loop as stepper
-from emps_design.simulation.kernels import motion
+from emps_design.simulation.kernels import baseline as core, hold_loop as stepper, motion
 from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.run import Run
 

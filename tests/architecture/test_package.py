@@ -7,13 +7,20 @@ from pathlib import Path
 import pytest
 
 import emps_design
-from emps_design.exports import offered
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "emps_design"
+
+
+def offered(stub: str) -> list[str]:
+    """The names that the stub of a room imports."""
+    nodes = [node for node in ast.parse(stub).body if isinstance(node, ast.ImportFrom)]
+    return [alias.name for node in nodes for alias in node.names]
+
+
 ROOMS = {
-    ".".join(init.parent.relative_to(REPOSITORY).parts): offered(init.read_text(encoding="utf-8"))
-    for init in sorted(PACKAGE.rglob("__init__.py"))
+    ".".join(stub.parent.relative_to(REPOSITORY).parts): offered(stub.read_text(encoding="utf-8"))
+    for stub in sorted(PACKAGE.rglob("__init__.pyi"))
 }
 
 
@@ -34,11 +41,12 @@ def test_no_name_is_also_a_modules():
     # The import of a module puts it under its name into its package, in the place of what is offered there.
     for room, homes in ROOMS.items():
         folder = REPOSITORY.joinpath(*room.split("."))
-        assert {path.stem for path in folder.iterdir()} & set(homes) == set(), room
+        at_once = set(offered((folder / "__init__.py").read_text(encoding="utf-8")))
+        assert {path.stem for path in folder.iterdir()} & set(homes) <= at_once, room
 
 
 def test_an_unknown_name_is_refused():
-    with pytest.raises(AttributeError, match="module 'emps_design' has no attribute 'Axle'"):
+    with pytest.raises(AttributeError, match="No emps_design attribute Axle"):
         _ = emps_design.Axle
 
 

@@ -7,8 +7,7 @@ import pkgutil
 import numpy as np
 import pytest
 
-from emps_design.effects import EFFECTS, Motion
-from emps_design.effects import library as package
+from emps_design.effects import EFFECTS, Motion, library as package
 from emps_design.effects.effect import CHECK_BASELINE, MASS, SCALAR_HOOKS, VISCOUS
 from emps_design.model import states_along
 

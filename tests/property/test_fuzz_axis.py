@@ -1,8 +1,7 @@
 """Whatever an axis file holds, it is an axis that comes back from its own TOML, or it is refused in one line."""
 
 import tomli_w
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from emps_design.axis import TABLES, Axis
 from emps_design.effects import EFFECTS

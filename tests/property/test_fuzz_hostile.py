@@ -13,8 +13,7 @@ import stat
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from emps_design.cli import app
 from emps_design.cli.output import json_text

@@ -10,8 +10,7 @@ from contextlib import suppress
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.io import savemat
 
 from emps_design.errors import RecordError

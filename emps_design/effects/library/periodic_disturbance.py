@@ -7,8 +7,7 @@ from math import pi, sin
 
 import numpy as np
 
-from emps_design.effects import guesses as search
-from emps_design.effects import harmonic
+from emps_design.effects import guesses as search, harmonic
 from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
 
 MOVED = 0.5  # of the mean square of the velocity

@@ -23,8 +23,7 @@ import numpy as np
 
 from emps_design.identification.controller.best_law import AS_GOOD, Found, command_of
 from emps_design.identification.controller.fit import Fit, covariance, fit, with_deviations
-from emps_design.identification.controller.regressors import Signals, regressors, sought
-from emps_design.identification.controller.regressors import table_of as estimator_table
+from emps_design.identification.controller.regressors import Signals, regressors, sought, table_of as estimator_table
 from emps_design.laws import leaves
 from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
 from emps_design.records import Record

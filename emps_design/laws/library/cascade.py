@@ -23,8 +23,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from emps_design.errors import InputError
-from emps_design.laws.estimators import BACKWARD, WORDS, VelocityEstimator, states, taps
-from emps_design.laws.estimators import coefficients as of_estimator
+from emps_design.laws.estimators import BACKWARD, WORDS, VelocityEstimator, coefficients as of_estimator, states, taps
 from emps_design.laws.law import (
     Finite,
     Group,

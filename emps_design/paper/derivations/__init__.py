@@ -16,11 +16,9 @@ def derivation() -> dict[str, tuple[str, tuple[DerivationStep, ...]]]:
     >>> list(derivation())
     ['model', 'cascade', 'pi', 'identification', 'impedance']
     """
-    from emps_design.paper.derivations.velocity_loop import derive_force_loop
     from emps_design.paper.derivations.impedance import derive_impedance
-    from emps_design.paper.derivations.model import derive_least_squares
-    from emps_design.paper.derivations.model import derive_model
-    from emps_design.paper.derivations.velocity_loop import derive_pi_loop, derive_velocity_loop
+    from emps_design.paper.derivations.model import derive_least_squares, derive_model
+    from emps_design.paper.derivations.velocity_loop import derive_force_loop, derive_pi_loop, derive_velocity_loop
 
     return {
         "model": ("Drive and carriage, (1) to (5)", derive_model()),

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.linear_plant import ActuatorMap

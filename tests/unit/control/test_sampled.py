@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.signal
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from emps_design.control.discretisation import expm, sample_axis, sample_plant
 from emps_design.control.linear_plant import linear_plant

@@ -6,8 +6,7 @@ import math
 import control
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from emps_design.cli.app import run
 from emps_design.control.discretisation import sample_axis

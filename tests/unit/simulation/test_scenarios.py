@@ -10,8 +10,7 @@ from emps_design.cli.app import run as command_line
 from emps_design.discrepancy.preparation import check_law, law_voltage
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
-from emps_design.simulation import Plant, Run, breakaway, replay, trapezoid_laps
-from emps_design.simulation import scenarios as programs
+from emps_design.simulation import Plant, Run, breakaway, replay, scenarios as programs, trapezoid_laps
 from emps_design.simulation.scenarios import follow, read_reference
 from tests.unit.records.with_gaps import as_one, lost
 

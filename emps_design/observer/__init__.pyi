@@ -1,0 +1,21 @@
+from .external_force import (
+    DEFAULT_CUTOFF_HZ as DEFAULT_CUTOFF_HZ,
+    REST_VELOCITY as REST_VELOCITY,
+    ForceObserver as ForceObserver,
+    OnlineObserver as OnlineObserver,
+    SmallestForce as SmallestForce,
+    acting_voltage as acting_voltage,
+    as_driven as as_driven,
+    effects_force as effects_force,
+    force_from_current as force_from_current,
+    given_back as given_back,
+    left_out as left_out,
+    model_force as model_force,
+    motor_force as motor_force,
+    motor_share as motor_share,
+    observe_offline as observe_offline,
+    observe_online as observe_online,
+    sampled_with as sampled_with,
+    smallest_observable_force as smallest_observable_force,
+)
+from .kalman import KalmanForceObserver as KalmanForceObserver, kalman_trade_off as kalman_trade_off

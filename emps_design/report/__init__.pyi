@@ -1,0 +1,17 @@
+from .assemble import Report as Report, assemble_report as assemble_report
+from .diagnosis_sections import before_after_figure as before_after_figure
+from .frequency_response import response_figure as response_figure
+from .loop_figures import velocity_loop_figures as velocity_loop_figures
+from .page import (
+    Callout as Callout,
+    Facts as Facts,
+    Html as Html,
+    Listing as Listing,
+    Page as Page,
+    Picture as Picture,
+    Points as Points,
+    Section as Section,
+    Table as Table,
+    Text as Text,
+)
+from .record import force_figure as force_figure, observation_figure as observation_figure
