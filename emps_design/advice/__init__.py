@@ -20,14 +20,14 @@ from emps_design.advice.advice import (
     RECORDS,
     SAFE as SAFE,
     Advice as Advice,
-    Asked,
+    CommandLine,
     flag_of,
     identify,
     nearest_command,
     sentence,
 )
 
-JUDGES: dict[str, Callable[[Mapping[str, Any], Asked], Advice]] = {**DESIGNS, **RECORDS}
+JUDGES: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {**DESIGNS, **RECORDS}
 
 
 def advise(
@@ -52,7 +52,7 @@ def advise(
         found = document.get("records", document.get("record", ()))
         records = [found] if isinstance(found, str) else [one for one in found if isinstance(one, str)]
         records = records or ["RECORD"]
-    asked = Asked(tuple(words) or _usual(name, axis, records), axis, tuple(records))
+    asked = CommandLine(tuple(words) or _usual(name, axis, records), axis, tuple(records))
     return (report if name == "report" else JUDGES[name])(document, asked)
 
 
@@ -64,7 +64,7 @@ def advise_on_error(
     >>> advise_on_error("gains", 3, "no gains", {"crossover": 20.0}, ("gains", "--crossover", "99")).next
     'emps-design gains --crossover 20'
     """
-    asked = Asked(tuple(words) or (name,), "")
+    asked = CommandLine(tuple(words) or (name,), "")
     level = DO_NOT_RUN if status == 4 and name not in RECORDS else CAUTION
     return Advice(level, sentence(reason), nearest_command(nearest, asked))
 
@@ -78,7 +78,7 @@ def with_advice(name: str, document: dict[str, Any], *words: Any, **files: Any) 
     return {**document, "advice": advise(name, document, *words, **files).to_dict()}
 
 
-def report(document: Mapping[str, Any], asked: Asked) -> Advice:
+def report(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The worst advice of what is on the page, in whose order they stand."""
     if document.get("reason"):
         return Advice(DO_NOT_RUN, sentence(document["reason"]), None)

@@ -72,7 +72,7 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class Asked:
+class CommandLine:
     """A command as it was asked: its ``words`` from its name on, and the files ``axis`` and ``records`` among them."""
 
     words: tuple[str, ...]
@@ -91,7 +91,8 @@ class Asked:
     def again(self, **options: Any) -> str:
         """The same command with other ``options``; True: one without a value, None: left out.
 
-        >>> Asked(("gains", "a b.toml", "--crossover", "90", "--json"), "a b.toml").again(crossover=60.0, retune=True)
+        >>> command = CommandLine(("gains", "a b.toml", "--crossover", "90", "--json"), "a b.toml")
+        >>> command.again(crossover=60.0, retune=True)
         "emps-design gains 'a b.toml' --crossover 60 --retune"
         """
         gone = {flag_of(name): behind for name, behind in LEFT_OUT.items()}
@@ -137,7 +138,7 @@ def sentence(text: str) -> str:
     return " ".join(text.split()).rstrip(".")
 
 
-def nearest_command(found: Mapping[str, Any] | None, asked: Asked) -> str | None:
+def nearest_command(found: Mapping[str, Any] | None, asked: CommandLine) -> str | None:
     """The same command with the nearest that works; None where that is nothing that the command can be asked for."""
     given = {name: value for name, value in (found or {}).items() if name != "or" and value is not None}
     if not given or not given.keys() <= PROPOSED.keys():
@@ -165,7 +166,7 @@ def _rank(text: str) -> int:
     return next((i for i, words in enumerate(WORST_FIRST) if re.search(words, text)), len(WORST_FIRST))
 
 
-def identify(document: Mapping[str, Any], asked: Asked) -> Advice:
+def identify(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The advice on identified parameters."""
     diagnose = command("diagnose", *asked.records, axis=asked.axis)
     unknown = [name for name, one in document["parameters"].items() if one.get("value", one.get("mean")) is None]
@@ -179,7 +180,7 @@ def identify(document: Mapping[str, Any], asked: Asked) -> Advice:
     return Advice(SAFE, "nothing in the record speaks against the model and its intervals", onward)
 
 
-def _law(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _law(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     if document.get("controller") is None:
         return Advice(CAUTION, sentence(document.get("reason") or "the law cannot be told from this record"), None)
     equivalents, reason = document.get("equivalents"), document.get("reason")
@@ -194,7 +195,7 @@ def _law(document: Mapping[str, Any], asked: Asked) -> Advice:
     )
 
 
-def _frf(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _frf(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     if against(document):
         return Advice(CAUTION, against(document), None)
     out = asked.out
@@ -202,14 +203,14 @@ def _frf(document: Mapping[str, Any], asked: Asked) -> Advice:
     return Advice(SAFE, "coherence and deviations are those of a plant that answers as a linear one", onward)
 
 
-def _observe(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _observe(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     if against(document):
         return Advice(CAUTION, against(document), command("identify", *asked.records, axis=asked.axis))
     least = document.get("online", document.get("offline"))["smallest_observable_force"]["value"]
     return Advice(SAFE, f"forces of more than {least:.3g} N are seen with this model", None)
 
 
-def _diagnose(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _diagnose(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     verdict, findings = document["verdict"], document["findings"]
     folder = asked.out
     experiment = document.get("experiment") or {}
@@ -237,7 +238,7 @@ def _diagnose(document: Mapping[str, Any], asked: Asked) -> Advice:
     return Advice(SAFE, text, onward)
 
 
-RECORDS: dict[str, Callable[[Mapping[str, Any], Asked], Advice]] = {
+RECORDS: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {
     "identify": identify,
     "observe": _observe,
     "law": _law,
@@ -300,7 +301,7 @@ def _has(worst: Mapping[str, Any]) -> str:
 
 
 def _design(
-    document: Mapping[str, Any], asked: Asked, better: Callable[[], str | None], onward: Callable[[], str | None]
+    document: Mapping[str, Any], asked: CommandLine, better: Callable[[], str | None], onward: Callable[[], str | None]
 ) -> Advice:
     """The advice on loops: ``better`` is the next command where they are less than safe, ``onward`` where they are."""
     if document.get("reason"):
@@ -314,7 +315,7 @@ def _design(
     return Advice(SAFE, _has(worst) if worst else "every loop is stable", onward())
 
 
-def gains(document: Mapping[str, Any], asked: Asked) -> Advice:
+def gains(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The advice on a velocity loop and what is around it."""
     worst, requested = document.get("worst_loop", {}), document.get("requested", {})
     name = "crossover" if "crossover" in requested else "bandwidth"
@@ -334,7 +335,7 @@ def gains(document: Mapping[str, Any], asked: Asked) -> Advice:
     return _design(document, asked, better, onward)
 
 
-def margins(document: Mapping[str, Any], asked: Asked) -> Advice:
+def margins(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The advice on the controller of an axis file."""
 
     def better() -> str | None:
@@ -350,7 +351,7 @@ def _tenth(document: Mapping[str, Any]) -> float:
     return float(f"{min(known) / 1.5:.2g}") if known else 100.0
 
 
-def force(document: Mapping[str, Any], asked: Asked) -> Advice:
+def force(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The advice on a force loop."""
     limit = document["k_e1_max"]["sampled"]
 
@@ -368,7 +369,7 @@ def force(document: Mapping[str, Any], asked: Asked) -> Advice:
     return _design(document, asked, better, onward)
 
 
-def impedance(document: Mapping[str, Any], asked: Asked) -> Advice:
+def impedance(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The advice on an impedance law."""
     law, study = document["law"], document.get("mismatch")
     try_it = command("simulate", asked.axis, scenario="comanipulation", mass=law["mass"], damping=law["damping"])
@@ -390,17 +391,17 @@ def impedance(document: Mapping[str, Any], asked: Asked) -> Advice:
     return Advice(SAFE, f"let go, the carriage comes to rest with estimates anywhere within {share:g} %", try_it)
 
 
-def simulate(document: Mapping[str, Any], asked: Asked) -> Advice:
+def simulate(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The advice on a simulation, by its scenario."""
     return SCENARIOS[document.get("scenario", "bench")](document, asked)
 
 
-def _comanipulation(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _comanipulation(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     verdict, law = document["verdict"], document["law"]
     numbers = {"mass": law["mass"], "damping": law["damping"], "mismatch": document["mismatch"]}
     judge = command(impedance.__name__, asked.axis, **numbers)
     if document.get("reason"):
-        better = nearest_command(document.get("nearest"), Asked(tuple(shlex.split(judge)[1:]), asked.axis))
+        better = nearest_command(document.get("nearest"), CommandLine(tuple(shlex.split(judge)[1:]), asked.axis))
         return Advice(DO_NOT_RUN, sentence(document["reason"]), better or judge)
     within = f"with estimates off by up to {100 * document['mismatch']:g} %"
     if verdict not in COMES_TO_REST:
@@ -411,7 +412,7 @@ def _comanipulation(document: Mapping[str, Any], asked: Asked) -> Advice:
     return Advice(SAFE, f"the released carriage comes to rest {within}", judge)
 
 
-def _replay(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _replay(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     missed = document["relative_error_percent"]["force"]
     next_one = command("diagnose", asked.records[0], axis=asked.axis)
     if missed is None or math.isnan(missed):
@@ -422,7 +423,7 @@ def _replay(document: Mapping[str, Any], asked: Asked) -> Advice:
     return Advice(SAFE, f"the simulation follows the record to {missed:.2g} % of the force", None)
 
 
-def _reference(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _reference(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     share = document["saturated_share"]
     design = _design(document, asked, lambda: command("margins", asked.axis), lambda: command("compensate", asked.axis))
     if design.level == SAFE and share > 0.0:
@@ -430,14 +431,14 @@ def _reference(document: Mapping[str, Any], asked: Asked) -> Advice:
     return design
 
 
-def _only_said(document: Mapping[str, Any], asked: Asked) -> Advice:
+def _only_said(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     text = against(document)
     if text:
         return Advice(CAUTION, text, None)
     return Advice(SAFE, "nothing of this runs on a drive", None)
 
 
-def compensate(document: Mapping[str, Any], asked: Asked) -> Advice:
+def compensate(document: Mapping[str, Any], asked: CommandLine) -> Advice:
     """The advice on a feed-forward."""
     rms, cures = document["tracking_rms"], document.get("feedback", ())
     better = command("margins", asked.axis)
@@ -467,13 +468,13 @@ def _cycles(cure: Mapping[str, Any]) -> bool:
     return (cure.get("factor") is None and "no limit cycle" not in cure["advice"]) or (cure.get("factor") or 2.0) < 1.0
 
 
-SCENARIOS: dict[str, Callable[[Mapping[str, Any], Asked], Advice]] = {
+SCENARIOS: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {
     "comanipulation": _comanipulation,
     "replay": _replay,
     "reference": _reference,
     "breakaway": _only_said,
     "bench": _only_said,
 }
-DESIGNS: dict[str, Callable[[Mapping[str, Any], Asked], Advice]] = {
+DESIGNS: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {
     judge.__name__: judge for judge in (gains, margins, force, impedance, simulate, compensate)
 }

@@ -20,11 +20,11 @@ from emps_design.axis.tables import (
     LIMIT,
     TABLES,
     AxisEffect,
+    AxisTable,
     Controller,
     Drive,
     Mechanics,
     Sampling,
-    Table,
     field_in,
     fields_in,
 )
@@ -111,7 +111,7 @@ def _printable(name: str) -> str:
     return name
 
 
-class Axis(Table):
+class Axis(AxisTable):
     """Everything that is known about one machine.
 
     >>> axis = Axis(name="small", mechanics={"mass": 10, "viscous": 20, "coulomb": 1}, drive={"force_gain": 5},

@@ -37,13 +37,13 @@ NO_LIMIT = 1e8  # the largest command where none is known: no magnitude that a u
 LIMIT = {"voltage_limit", "command_limit"}  # two keys of a drive for one number
 
 
-class Table(BaseModel):
+class AxisTable(BaseModel):
     """A table of an axis file, which refuses unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Mechanics(Table):
+class Mechanics(AxisTable):
     """Load-side mechanics of the baseline inverse dynamic model, equation (2)."""
 
     mass: Positive = Field(description="load-side equivalent mass M", json_schema_extra={"unit": "kg"})
@@ -56,7 +56,7 @@ class Mechanics(Table):
         return np.array([self.mass, self.viscous, self.coulomb, self.offset])
 
 
-class Drive(Table):
+class Drive(AxisTable):
     """The drive chain, equation (1): force = G_tau u, with G_tau given or as G_i r k_t of a data sheet.
 
     The command u is what a record's column of it holds: a voltage that sets the current, the current itself, a torque
@@ -153,7 +153,7 @@ def _force_gain_from_data_sheet(table: dict[str, Any]) -> dict[str, Any]:
         raise ValueError(f"{', '.join(names)}: expected three numbers") from error
 
 
-class Sampling(Table):
+class Sampling(AxisTable):
     """Clock and encoder."""
 
     period: Positive = Field(description="sampling period", json_schema_extra={"unit": "s"})
@@ -165,7 +165,7 @@ class Sampling(Table):
     )
 
 
-class Controller(Table):
+class Controller(AxisTable):
     """The law that makes the voltage: its kind, and its parameters as the law's own table has them.
 
     A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``; an inner table is a dict.
@@ -198,7 +198,7 @@ class Controller(Table):
         raise AttributeError(f"controller: found {name!r}, expected one of kind, {', '.join(fields_of())}")
 
 
-class AxisEffect(Table):
+class AxisEffect(AxisTable):
     """One effect of an axis: its kind and its parameters, written as an ``[[effects]]`` table."""
 
     kind: str
@@ -224,7 +224,7 @@ class AxisEffect(Table):
         return get_effect(self.kind)
 
 
-TABLES: dict[str, type[Table]] = {
+TABLES: dict[str, type[AxisTable]] = {
     "mechanics": Mechanics,
     "drive": Drive,
     "sampling": Sampling,

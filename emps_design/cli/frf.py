@@ -12,7 +12,7 @@ from emps_design.cli.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, che
 from emps_design.cli.options import HERTZ, refuse_force
 
 if TYPE_CHECKING:
-    from emps_design.frequency_response import Estimate
+    from emps_design.frequency_response import ResponseEstimate
 
 LONG = 1_000_000  # samples from which on it is worth saying how far the work is
 OUT = {".csv": TABLE, ".mat": MATLAB}
@@ -72,7 +72,7 @@ def command(
         say_advice(document)
 
 
-def _draw(path: Path, found: Estimate) -> None:
+def _draw(path: Path, found: ResponseEstimate) -> None:
     from emps_design.files import write_aside
     from emps_design.report.frequency_response import response_figure
     from emps_design.report.style import draw, labelled
@@ -82,7 +82,7 @@ def _draw(path: Path, found: Estimate) -> None:
         draw(figure, aside, path.suffix[1:])
 
 
-def _show(found: Estimate, unit: Callable[[str], str]) -> None:
+def _show(found: ResponseEstimate, unit: Callable[[str], str]) -> None:
     import numpy as np
     from rich import box
     from rich.table import Table

@@ -160,7 +160,7 @@ def _table(name: str, numbers: list[float]) -> Function:
     return Function(name, {place.name: INT}, {}, (*cases, rest))
 
 
-class Table(LawTable):
+class ObserverTable(LawTable):
     """The observer's only parameter."""
 
     cutoff: Positive = parameter("corner of the first-order low-pass", "Hz")
@@ -256,7 +256,7 @@ OBSERVER = LawKind(
     name="force_observer",
     label="on-line observer of the external force",
     source="paper, (19)",
-    table=Table,
+    table=ObserverTable,
     kernel=external_force.force_observer,
     gains=_gains,
     memory=4,

@@ -39,7 +39,7 @@ PER_RECORD = "its phase is that of one record's zero: home the encoder before it
 
 
 @dataclass(frozen=True)
-class Term:
+class TermResult:
     """One term: tracking error with it ``alone``, with all the others but it, and what became of it."""
 
     name: str
@@ -61,7 +61,7 @@ class Compensation:
     baseline: float
     achieved: float
     worst: float
-    terms: tuple[Term, ...]
+    terms: tuple[TermResult, ...]
     not_compensated: dict[str, str]
     mismatch: float
     phase_deg: float
@@ -260,7 +260,8 @@ def compensate(
     if limited > 0.0:
         warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time{_farther(*overshoot, trial)}")
     tried = tuple(
-        Term(name, name in kept, alone[name], *trials[name], notes.get(name, _home(axis, name))) for name in possible
+        TermResult(name, name in kept, alone[name], *trials[name], notes.get(name, _home(axis, name)))
+        for name in possible
     )
     return Compensation(
         axis, ahead, q_ref, without, baseline, achieved, worst, tried, left, mismatch, phase_deg, limited,

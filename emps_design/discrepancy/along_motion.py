@@ -25,7 +25,7 @@ from emps_design.discrepancy.balance import (
     terms_of,
     tried,
 )
-from emps_design.discrepancy.experiment import Experiment, varies
+from emps_design.discrepancy.experiment import NextExperiment, varies
 from emps_design.discrepancy.explanation import marked
 from emps_design.discrepancy.gap import Gap, Prediction
 from emps_design.discrepancy.least_squares import BASELINE, LEAST_MASS
@@ -64,7 +64,7 @@ BESIDE = 0.75  # samples, from which on a command is said to be logged beside th
 
 
 @dataclass(frozen=True)
-class Found:
+class BalanceResult:
     """What was found on a ``balance``: the ``baseline`` and the ``extended`` model, with what of it is ``named``.
 
     ``held_out`` are the errors of both models (rows,) [N] on the strokes that ``confirming`` speaks of, None for none;
@@ -117,7 +117,7 @@ class Found:
         return "parameters-only" if self.off else "nothing-missing"
 
 
-def answer(found: Found, axis: Axis) -> Diagnosis:
+def answer(found: BalanceResult, axis: Axis) -> Diagnosis:
     """The diagnosis of what was ``found`` on the machine of ``axis``."""
     balance, used = found.balance, found.balance.used
     before, after = (balance.missing(one) for one in (found.baseline, found.extended))
@@ -163,9 +163,9 @@ def answer(found: Found, axis: Axis) -> Diagnosis:
         over = details["unexplained"]["over"]
     experiment = None
     if found.lacks:
-        experiment = Experiment(varies(over)[1])
+        experiment = NextExperiment(varies(over)[1])
     elif found.named:
-        experiment = Experiment(found.named[0].effect.experiment)
+        experiment = NextExperiment(found.named[0].effect.experiment)
     return Diagnosis(
         verdict=found.verdict,
         findings=findings,
@@ -188,7 +188,7 @@ def _gap(before: np.ndarray, after: np.ndarray) -> Gap:
     return Gap(sizes[0], sizes[1], sizes[0], sizes[1], dict(zip(names, [*ends, *ends], strict=True)))
 
 
-def _finding(found: Found, one: Named) -> Finding:
+def _finding(found: BalanceResult, one: Named) -> Finding:
     balance, units = found.balance, {p.name: p.unit for p in one.effect.parameters}
     left = [balance.left(model)[balance.filtered.used] for model in (one.without, found.extended)]
     before, after = (float(np.sqrt(np.mean(error**2))) for error in left)
@@ -223,7 +223,7 @@ def _candidate(one: Tried) -> dict[str, Any]:
     }
 
 
-def _parameters(found: Found) -> dict[str, Any]:
+def _parameters(found: BalanceResult) -> dict[str, Any]:
     """The baseline's numbers: the axis file's, fitted alone, and beside the effects; None where not determined."""
     given, table = found.balance.axis.mechanics.array(), {}
     for place, quantity in enumerate(BASELINE):
@@ -247,7 +247,7 @@ def _whole(fitted: Fitted) -> dict[str, float]:
     return {"constant_force": 0.0, **fitted.parameters}
 
 
-def _axis(found: Found, axis: Axis) -> Axis:
+def _axis(found: BalanceResult, axis: Axis) -> Axis:
     """``axis`` with what was found; a number that is not determined stays as it was."""
     from emps_design.identification.problem import identified_effects
 
@@ -260,14 +260,14 @@ def _axis(found: Found, axis: Axis) -> Axis:
     return axis.replace(mechanics=mechanics, effects=effects)
 
 
-def _records(found: Found) -> list[dict[str, Any]]:
+def _records(found: BalanceResult) -> list[dict[str, Any]]:
     roles = [(record, "train") for record in found.records]
     if found.other is not None and found.confirming.time is None:
         roles.append((found.other.record, "holdout"))
     return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
 
 
-def _trace(found: Found) -> Prediction:
+def _trace(found: BalanceResult) -> Prediction:
     """What both models make of the held-out record, or of the training record, and what was measured."""
     balance = found.other or found.balance
     measured = motor_force(balance.axis, balance.record)
@@ -282,12 +282,12 @@ def _trace(found: Found) -> Prediction:
     )
 
 
-def _looked_for(found: Found) -> str:
+def _looked_for(found: BalanceResult) -> str:
     labels = [inside(one.effect.label) for one in found.tried]
     return ", ".join(labels) if labels else "none, for fewer than three strokes are between rests"
 
 
-def _unexplained(found: Found, gap: Gap, noise: float) -> dict[str, Any]:
+def _unexplained(found: BalanceResult, gap: Gap, noise: float) -> dict[str, Any]:
     """The contract's ``unexplained``: what comes again with the motion, or all that is left where none of it does."""
     balance, again = found.balance, found.left.structure > LITTLE
     seen, used = balance.missing(found.extended), balance.used
@@ -319,7 +319,7 @@ def _unexplained(found: Found, gap: Gap, noise: float) -> dict[str, Any]:
     }
 
 
-def _warnings(found: Found) -> list[str]:
+def _warnings(found: BalanceResult) -> list[str]:
     fitted, late = found.extended, found.balance.clock.samples
     remarks = [*found.warnings]
     if abs(late) > BESIDE:
@@ -394,7 +394,7 @@ def diagnose_along_motion(
         held_out = strokes.left(()), strokes.left(asked)
         whole = float(fitted.t[0]), float(fitted.t[-1]) + 0.5 * fitted.period
         confirming = Confirming(f"the {strokes.count} strokes of {fitted.name}", "in turn", whole)
-    found = Found(
+    found = BalanceResult(
         records,
         balance,
         baseline,

@@ -25,7 +25,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.unknown_force import MissingForce
 from emps_design.effects import Effect
 from emps_design.effects.terms import BENT, TERMS
-from emps_design.identification.command_clock import Beside, logged_beside, moved
+from emps_design.identification.command_clock import CommandLag, logged_beside, moved
 from emps_design.identification.excitation import goes_one_way
 from emps_design.identification.identify import identify_by_least_squares
 from emps_design.identification.inverse_model import Filtered, chosen_cutoff, regression
@@ -112,7 +112,7 @@ class Balance:
     record: Record
     axis: Axis
     friction: str
-    clock: Beside
+    clock: CommandLag
     cutoff: float
 
     @classmethod

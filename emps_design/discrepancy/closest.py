@@ -17,7 +17,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.fit import Fit, fit
-from emps_design.discrepancy.gap import Comparison, Gap, compare, compare_on
+from emps_design.discrepancy.gap import Gap, GapComparison, compare, compare_on
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.starts import screen, tangent
 from emps_design.discrepancy.verdict import Validation
@@ -114,7 +114,7 @@ def closest_of(validation: Validation) -> Closest:
     return Closest(text, axis, more, train.gap, None if held_out is None else held_out.gap, _share(judged))
 
 
-def _share(judged: Comparison) -> float:
+def _share(judged: GapComparison) -> float:
     """The closed loop's force error over the rms of the motor force, on what is used of the record that judges."""
     prediction = judged.prediction
     left = (prediction.measured - prediction.extended)[prediction.used]

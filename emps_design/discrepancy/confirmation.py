@@ -53,7 +53,7 @@ HALVINGS = 7  # by which the end of a range is found within the last step
 
 
 @dataclass(frozen=True)
-class Asked:
+class Share:
     """How much of an effect a record asks for: ``share`` 1 is all of it, 0 none; ``std`` its standard deviation.
 
     ``repeats`` is the share that the effect asks of itself when the carriage is disturbed by noise: below 1 where play
@@ -117,7 +117,7 @@ class Asked:
         return max(self.repeats - share, share - 1.0)
 
 
-def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
+def asked_for(hypothesis: Hypothesis) -> tuple[Share, ...]:
     """How much of each effect of a model its records ask for, all of them at once.
 
     What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
@@ -136,7 +136,7 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
     left = side_by_side(_left, runs)
     (whole, *lefts), (disturbed, *lefts_disturbed) = left[: -len(models)], left[-len(models) :]
     if whole is None:  # what cannot run tells nothing
-        return tuple(Asked(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
+        return tuple(Share(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
     columns = [_change(one, whole) for one in lefts]  # of the effects, then of the baseline's numbers
     again = [_change(one, disturbed) for one in lefts_disturbed]
     spectrum = floor_of_residual(problem.pick(problem.unfollowed(whole), "used"), problem.period, LEFT).whitening
@@ -153,7 +153,7 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Asked, ...]:
         exercised = float(np.linalg.norm(here)) > rules.EXERCISED * np.sqrt(here.size)
         weighed = tuple(rows[i] for rows in shares[1:])
         found.append(
-            Asked(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=has_play(model.effects[i]))
+            Share(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=has_play(model.effects[i]))
         )
     return tuple(found)
 
@@ -302,13 +302,13 @@ def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
     return found
 
 
-def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, list[Asked], tuple[Asked, ...]]:
+def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, list[Share], tuple[Share, ...]]:
     """Withdraw from ``extended`` what the confirming data refute, or hardly want, one by one, and refit the rest.
 
     Also returns how much of the rest they ask for, and what was withdrawn. An effect of the controller has its evidence
     in the law, and is not asked for.
     """
-    refuted: list[Asked] = []
+    refuted: list[Share] = []
     asked = claims_on(held_out, extended)
     while doubtful := [a for a in asked if a.refuted or a.hardly_wanted]:
         worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std)
@@ -318,7 +318,7 @@ def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, list[A
     return extended, asked, tuple(refuted)
 
 
-def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked, ...]]:
+def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Share, ...]]:
     """The robust fit of those effects of ``extended`` that stand on their own evidence, and what was withdrawn.
 
     An effect that the confirming data do not exercise must stand on the training records. What the model leaves counts
@@ -330,7 +330,7 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Asked,
     hysteresis, has no shape of its own to be recognised by: beside something unknown it is part of that.
     """
     extended = _less(extended, [effect.name for effect in extended.model.effects if effect.general or effect.element])
-    withdrawn: list[Asked] = []
+    withdrawn: list[Share] = []
     refitted = False
     while _plant(extended):
         judged = _judged(held_out, extended)
@@ -361,7 +361,7 @@ def _size_known(fitted: Fit, name: str) -> bool:
     return not known or min(known) <= rules.SHARE_KNOWN
 
 
-def _judged(held_out: HeldOut | None, extended: Fit) -> list[Asked]:
+def _judged(held_out: HeldOut | None, extended: Fit) -> list[Share]:
     """How much of each effect is asked for by the confirming data, by the training records where they tell nothing."""
     asked = [] if held_out is None else claims_on(held_out, extended)
     if asked and all(one.exercised for one in asked):
@@ -370,13 +370,13 @@ def _judged(held_out: HeldOut | None, extended: Fit) -> list[Asked]:
     return [one if one.exercised else trained[one.name] for one in asked or trained.values()]
 
 
-def claims_on(held_out: HeldOut, extended: Fit) -> list[Asked]:
+def claims_on(held_out: HeldOut, extended: Fit) -> list[Share]:
     """How much of each effect of the plant the confirming data ask for."""
     model = extended.model
     return _claims(asked_for(Hypothesis(held_out.problem, adapted(held_out, model, model))), extended)
 
 
-def _claims(asked: tuple[Asked, ...], fitted: Fit) -> list[Asked]:
+def _claims(asked: tuple[Share, ...], fitted: Fit) -> list[Share]:
     """Those of ``asked`` that act on the plant: what the controller does is known from its law."""
     return [one for one in asked if one.name in _plant(fitted)]
 

@@ -70,7 +70,7 @@ def diagnose(
         if too_slow(records):
             return along_motion()
         try:
-            asked = Asked(records, axis, library, holdout, fit_time, confirm_time)
+            asked = DiagnosisRequest(records, axis, library, holdout, fit_time, confirm_time)
             return _by_simulation(asked, seed, searches, report, hears, closest)
         except (SimulationError, RecordError) as error:
             if axis.controller.kind != NONE:
@@ -82,7 +82,7 @@ def diagnose(
 
 
 @dataclass(frozen=True)
-class Asked:
+class DiagnosisRequest:
     """What :func:`diagnose` was asked, but for how."""
 
     records: tuple[Record, ...]
@@ -99,7 +99,7 @@ class Asked:
 
 
 def _by_simulation(
-    asked: Asked, seed: int, searches: int, report: Progress, hears: Callable[[Axis], None], closest: bool
+    asked: DiagnosisRequest, seed: int, searches: int, report: Progress, hears: Callable[[Axis], None], closest: bool
 ) -> Diagnosis:
     """Diagnose by closed-loop simulations of the records."""
     report("checking the records and the controller's law", 0.02)

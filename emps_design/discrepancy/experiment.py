@@ -273,7 +273,7 @@ def _top(signals: Iterable[np.ndarray]) -> float:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class NextExperiment:
     """What to record next: ``text``; with an ``excitation``, its reference ``q_ref`` (n,) [m] at ``period`` [s].
 
     ``distance`` [N rms] is how far apart the models with one and the other of ``between`` are on it, fitted to one
@@ -281,7 +281,7 @@ class Experiment:
     the first two for every excitation that is safe, the best first, after one step of the fits only. ``file`` is where
     the reference was written.
 
-    >>> Experiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict()["file"]
+    >>> NextExperiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict()["file"]
     'experiment.csv'
     """
 
@@ -316,12 +316,12 @@ class Experiment:
         """Time (n,) [s] of the samples of ``q_ref``."""
         return np.arange(0 if self.q_ref is None else self.q_ref.size) * self.period
 
-    def written(self) -> Experiment:
+    def written(self) -> NextExperiment:
         """The same, saying where the reference was written, if there is one."""
         return self if self.q_ref is None else replace(self, file=FILE)
 
 
-def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, list[str]]) -> Experiment | None:
+def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, list[str]]) -> NextExperiment | None:
     """What to record next: an excitation where findings have ``equivalents``, else what the first finding's file says.
 
     ``named`` are the findings; too many equivalents leave a finding without a name and with the same question. None
@@ -341,19 +341,19 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
         chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
         if chosen is not None:
             return chosen
-    return Experiment(get_effect(kind_of(named[0])).experiment) if named else None
+    return NextExperiment(get_effect(kind_of(named[0])).experiment) if named else None
 
 
-def what_to_record(hypothesis: Hypothesis, over: list[str]) -> Experiment:
+def what_to_record(hypothesis: Hypothesis, over: list[str]) -> NextExperiment:
     """The excitation that shows most of what a model leaves: the one that varies ``over``, what that depends on."""
     name, text = varies(over)
     if hypothesis.problem.follows:
-        return Experiment(text)
+        return NextExperiment(text)
     envelope = Envelope.of(hypothesis.problem.records)
     reference = excitations(envelope)[name]
     if not _safe(hypothesis, reference, _extremes(*hypothesis.runs())):
-        return Experiment(text)
-    return Experiment(text, excitation=name, q_ref=reference, period=envelope.period)
+        return NextExperiment(text)
+    return NextExperiment(text, excitation=name, q_ref=reference, period=envelope.period)
 
 
 def varies(over: list[str]) -> tuple[str, str]:
@@ -367,7 +367,7 @@ def varies(over: list[str]) -> tuple[str, str]:
     return name, f"{instruction(name)}, {why}; diagnose the new record together with the old"
 
 
-def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Experiment | None:
+def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> NextExperiment | None:
     """The excitation on which the two of ``rivals`` that are nearest to one another are farthest apart.
 
     ``threshold`` is the gain in whitened cost that counts; ``noise`` [standard deviations of the whitening] is what
@@ -398,7 +398,7 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Exp
             chosen, best = name, found
     needed = rules.LUCK + float(np.sqrt(rules.LUCK**2 + threshold))  # D^2 - 2 LUCK D = threshold
     decides, (one, other) = best.over_noise >= needed, best.effects
-    return Experiment(
+    return NextExperiment(
         text=_text(chosen, best, needed, references[chosen].size * envelope.period),
         excitation=chosen if decides else None,
         between=(one.name, other.name),

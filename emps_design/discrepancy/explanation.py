@@ -23,7 +23,7 @@ from emps_design.discrepancy.acceptance import force_rms
 from emps_design.discrepancy.calibration import Calibration
 from emps_design.discrepancy.closest import Closest
 from emps_design.discrepancy.confirmation import deviation_in_time
-from emps_design.discrepancy.experiment import Experiment, experiment, what_to_record
+from emps_design.discrepancy.experiment import NextExperiment, experiment, what_to_record
 from emps_design.discrepancy.fit import Fit, fit
 from emps_design.discrepancy.gap import most_missed
 from emps_design.discrepancy.least_squares import BASELINE
@@ -49,7 +49,7 @@ from emps_design.effects import Effect, Parameter, get_effect, kind_of
 from emps_design.effects.effect import COULOMB, OFFSET
 from emps_design.errors import RecordError, SimulationError
 from emps_design.frequency_response import estimate_response
-from emps_design.frequency_response.coupling import Comparison
+from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.identification.model import LUMP
 from emps_design.quantities import display_unit, inside
 from emps_design.records import Record
@@ -120,7 +120,7 @@ def drawn(fitted: Fit, index: int, seed: int = 0) -> list[Hypothesis]:
     return [fitted.with_model(draw) for draw in draws]
 
 
-def measured_response(records: Sequence[Record], axis: Axis) -> Comparison | None:
+def measured_response(records: Sequence[Record], axis: Axis) -> ResponseComparison | None:
     """The response of the excited ``records`` beside ``axis``; None where none is, or not strongly enough."""
     excited = [one for one in records if one.excitation is not None and np.ptp(one.excitation) > 0.0]
     if not excited:
@@ -370,7 +370,7 @@ def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest
     )
 
 
-def _experiment(validation: Validation, left: dict[str, Any] | None) -> Experiment | None:
+def _experiment(validation: Validation, left: dict[str, Any] | None) -> NextExperiment | None:
     """What to record next: what shows more of the unexplained, or tells equivalents apart where these are too many."""
     outcome, extended = validation.outcome, validation.extended
     asked = any(len(others) > rules.MOST_EQUIVALENTS for others in validation.equivalents.values())

@@ -75,7 +75,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class GapComparison:
     """Two models on the same records: the gap over all of them, and of the one that the baseline misses most its
     prediction and the extended model. ``refitted`` names what was fitted anew for it.
 
@@ -90,7 +90,9 @@ class Comparison:
     refitted: tuple[str, ...] = ()
 
 
-def compare(problem: Problem, baseline: Candidate, extended: Candidate, refitted: tuple[str, ...] = ()) -> Comparison:
+def compare(
+    problem: Problem, baseline: Candidate, extended: Candidate, refitted: tuple[str, ...] = ()
+) -> GapComparison:
     """Compare both models on the records of ``problem``."""
     models = [Hypothesis(problem, model) for model in (baseline, extended)]
     predictions = [_predict(*(model.only(i) for model in models)) for i in range(len(problem.records))]
@@ -106,7 +108,7 @@ def compare(problem: Problem, baseline: Candidate, extended: Candidate, refitted
     )
     most = most_missed(models[0])
     left = np.concatenate([force - force.mean() for force in models[1].left()])
-    return Comparison(gap, predictions[most], extended.only(most), float(np.std(left)), refitted)
+    return GapComparison(gap, predictions[most], extended.only(most), float(np.std(left)), refitted)
 
 
 def most_missed(hypothesis: Hypothesis) -> int:
@@ -128,7 +130,7 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     return Prediction(record, measured, before, after, problem.splits[0].used)
 
 
-def compare_on(held_out: HeldOut, baseline: Candidate, extended: Candidate) -> Comparison:
+def compare_on(held_out: HeldOut, baseline: Candidate, extended: Candidate) -> GapComparison:
     """Compare two models of the training records, each with what belongs to the held-out record fitted anew."""
     before, after = (adapted(held_out, model, extended) for model in (baseline, extended))
     return compare(held_out.problem, before, after, per_record_names(after))

@@ -9,12 +9,12 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.discrepancy.closest import Closest
-from emps_design.discrepancy.experiment import Experiment
+from emps_design.discrepancy.experiment import NextExperiment
 from emps_design.discrepancy.gap import Gap, Prediction
 from emps_design.discrepancy.noise_floor import Floor
 from emps_design.discrepancy.residual_views import EVERYWHERE, View
 from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
-from emps_design.frequency_response.coupling import Comparison
+from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.notebook import table
 from emps_design.quantities import display_unit, inside, rounded
 
@@ -107,8 +107,8 @@ class Diagnosis:
     trace: Prediction
     views: tuple[View, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
-    experiment: Experiment | None = None
-    response: Comparison | None = None
+    experiment: NextExperiment | None = None
+    response: ResponseComparison | None = None
     closest: Closest | None = None
     model_file: str | None = None
 

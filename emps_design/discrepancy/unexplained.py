@@ -13,7 +13,7 @@ from numpy.polynomial.chebyshev import chebvander
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import force_rms
 from emps_design.discrepancy.calibration import Calibration
-from emps_design.discrepancy.confirmation import Asked
+from emps_design.discrepancy.confirmation import Share
 from emps_design.discrepancy.gap import most_missed
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis
@@ -134,7 +134,7 @@ def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
     return remarks
 
 
-def _amount(asked: Asked) -> str:
+def _amount(asked: Share) -> str:
     """The share that was clearly refuted; of what is hardly wanted that of all weighings together."""
     told = None if asked.refuted else asked.confirmed
     return share_asked(asked.share, asked.std) if told is None else share_asked(**told)

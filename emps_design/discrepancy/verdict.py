@@ -21,7 +21,7 @@ from emps_design.discrepancy.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.beam_search import acting, finished, in_turn, next_to_nothing, only_noise, search_beside
 from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import (
-    Asked,
+    Share,
     alike_in_company,
     centred,
     claims_on,
@@ -32,7 +32,7 @@ from emps_design.discrepancy.confirmation import (
     widened,
 )
 from emps_design.discrepancy.fit import Fit, evaluate, fit
-from emps_design.discrepancy.gap import Comparison, adapted, compare, compare_on
+from emps_design.discrepancy.gap import GapComparison, adapted, compare, compare_on
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis
@@ -42,7 +42,7 @@ from emps_design.progress import Progress
 
 
 @dataclass(frozen=True)
-class Beside:
+class BesideUnknown:
     """A fit judged beside an unknown force, how much of its effects the confirming data ask for, their equivalents.
 
     ``kind`` of ``KINDS`` is what the force is like; empty where it may be any function of the state. ``left`` [N] is
@@ -51,7 +51,7 @@ class Beside:
     """
 
     found: Fit
-    asked: list[Asked]
+    asked: list[Share]
     equivalents: dict[str, list[str]]
     kind: str = ""
     left: float = np.inf
@@ -68,7 +68,7 @@ class Beside:
         return bool(self.names) or self.is_all
 
 
-def found_beside_kind(outcome: Outcome, data: HeldOut) -> Beside | None:
+def found_beside_kind(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
     """What the search found beside an unknown force of one kind, maybe nothing; None where there is no such force.
 
     Where the two leave next to nothing of the confirming ``data`` either, with the force fitted anew there.
@@ -98,7 +98,7 @@ def _in_the_loop(found: Fit, kind: Kind) -> Fit:
     return evaluate(last, last.slots, widened(last.covariance, [one.model.vector(last.slots) for one in fits]))
 
 
-def found_beside_state(outcome: Outcome, data: HeldOut) -> Beside | None:
+def found_beside_state(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
     """What a second search finds beside the state and the confirming ``data`` ask for there; None where nothing."""
     again = search_beside(outcome.calibration, beside_state(outcome.calibration.baseline))
     if again.best.model.names == outcome.path[0].model.names:
@@ -118,17 +118,17 @@ def _on(data: HeldOut, there: Hypothesis, found: Fit) -> Hypothesis:
     return there.with_model(adapted(data, found.model, found.model))
 
 
-def _standing(again: Outcome, found: Fit, there: Hypothesis, data: HeldOut) -> Beside:
+def _standing(again: Outcome, found: Fit, there: Hypothesis, data: HeldOut) -> BesideUnknown:
     """What the confirming ``data`` ask for of what the search ``again`` ``found``, beside the force as it is ``there``.
 
     Empty where that is nothing.
     """
     data = replace(data, problem=there.problem)
     stands, _ = standing(data, found)
-    return Beside(stands, claims_on(data, stands), alike_in_company(again, stands))
+    return BesideUnknown(stands, claims_on(data, stands), alike_in_company(again, stands))
 
 
-def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]]:
+def joined(stands: Fit, beside: BesideUnknown, data: HeldOut) -> tuple[Fit, list[Share]]:
     """``stands`` with the effects of ``beside`` as they were found, all else fitted again and asked for.
 
     Without those of ``stands`` that the confirming ``data`` do not ask for in this company.
@@ -143,7 +143,7 @@ def joined(stands: Fit, beside: Beside, data: HeldOut) -> tuple[Fit, list[Asked]
     return fitted, [one for one in asked if one.name in own.names]
 
 
-def _fitted_around(start: Hypothesis, beside: Beside) -> Fit:
+def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
     """``start`` fitted with the effects of ``beside`` added, whose numbers and deviations stay.
 
     From its own baseline and from that of ``beside``: where all that stood was withdrawn, friction may be gone.
@@ -183,10 +183,10 @@ class Validation:
     baseline: Fit
     extended: Fit
     equivalents: dict[str, list[str]]
-    train: Comparison
-    held_out: Comparison | None
+    train: GapComparison
+    held_out: GapComparison | None
     confirmed: dict[str, dict[str, float] | None]
-    refuted: tuple[Asked, ...]
+    refuted: tuple[Share, ...]
     given_up: tuple[str, ...]
     share: float
     kind: str = ""
@@ -211,10 +211,10 @@ class _Answer:
     baseline: Fit
     extended: Fit
     equivalents: dict[str, list[str]]
-    asked: list[Asked]
-    refuted: tuple[Asked, ...]
+    asked: list[Share]
+    refuted: tuple[Share, ...]
     given_up: tuple[str, ...]
-    held_out: Comparison | None
+    held_out: GapComparison | None
     kind: str = ""
     kind_leaves: float = math.inf
 
@@ -269,7 +269,7 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
 
 
 def _all_or_nothing(
-    outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit, force: Beside | None
+    outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit, force: BesideUnknown | None
 ) -> tuple[_Answer, float, bool]:
     """The verdict on all effects of ``searched`` together, less what the confirming ``data`` refute.
 
@@ -278,8 +278,8 @@ def _all_or_nothing(
     """
     calibration, extended = outcome.calibration, searched
     judge, floor, lost = calibration.judge, calibration.floor.force, 0.0
-    asked: list[Asked] = []
-    refuted: tuple[Asked, ...] = ()
+    asked: list[Share] = []
+    refuted: tuple[Share, ...] = ()
     if data is not None:
         learnt = start.cost - extended.cost
         extended, asked, refuted = confirm(judge, data, extended)
@@ -312,13 +312,13 @@ def _all_or_nothing(
     return answer, shares[-1], (failed or forgotten or open_gap) and not nothing_yet
 
 
-def _explains(force: Beside | None, left: float, floor: float) -> bool:
+def _explains(force: BesideUnknown | None, left: float, floor: float) -> bool:
     """Whether an unknown ``force``, and the effects to name beside it, explain a good part of what is ``left`` [N]."""
     return force is not None and bool(force.names) and explained(left, force.left, floor) >= rules.OF_A_KIND
 
 
 def _effect_by_effect(
-    outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer, force: Beside | None
+    outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer, force: BesideUnknown | None
 ) -> _Answer:
     """What stands on its own evidence: all or nothing is the wrong question where structure is left.
 
@@ -363,7 +363,7 @@ def _by_itself(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _A
     )
 
 
-def _with(beside: Beside, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
+def _with(beside: BesideUnknown, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
     """``answer`` with what was found ``beside`` an unknown force in the place of what it has of the same name."""
     both, asked = joined(answer.extended, beside, data)
     own = [name for name in both.model.names if name not in beside.names]

@@ -1,4 +1,4 @@
-from .estimate import Estimate as Estimate, estimate_response as estimate_response
+from .estimate import ResponseEstimate as ResponseEstimate, estimate_response as estimate_response
 from .experiment import Experiment as Experiment, Limits as Limits, design_experiment as design_experiment
 from .loop import MeasuredMargins as MeasuredMargins, measured_margins as measured_margins, worst_of as worst_of
 from .response import (

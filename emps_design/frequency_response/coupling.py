@@ -424,7 +424,7 @@ def agreement(response: FrequencyResponse, model: np.ndarray) -> Agreement:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ResponseComparison:
     """A measured ``response`` and the ``axis`` that it is of."""
 
     response: FrequencyResponse

@@ -37,7 +37,7 @@ from emps_design.frequency_response.answers import (
     stepped_answer,
 )
 from emps_design.frequency_response.broadband import CLEAR, Answer
-from emps_design.frequency_response.coupling import Comparison
+from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.frequency_response.measured_plant import continuous_from_increments, without_aliases
 from emps_design.frequency_response.response import BAND, FrequencyResponse, Resonance, has_wrong_sign, resonances
 from emps_design.frequency_response.signals import COMMAND, EXCITATION, REFERENCE, Signals, motion, signals_of
@@ -112,7 +112,7 @@ def _usual(ratio: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class ResponseEstimate:
     """A response, how it was found, and the ratio of the spectra of velocity and command at the same lines.
 
     ``method`` is one of ``METHODS``, ``instrument`` what moved the loop, ``spectral_ratio`` (n,) the response that
@@ -135,9 +135,9 @@ class Estimate:
     warnings: tuple[str, ...] = ()
 
     @cached_property
-    def comparison(self) -> Comparison:
+    def comparison(self) -> ResponseComparison:
         """The response beside the model of the axis, and beside the masses that fit it."""
-        return Comparison(self.response, self.axis)
+        return ResponseComparison(self.response, self.axis)
 
     @property
     def all_warnings(self) -> tuple[str, ...]:
@@ -184,7 +184,7 @@ def estimate_response(
     low: float = 0.0,
     high: float | None = None,
     progress: Progress | None = None,
-) -> Estimate:
+) -> ResponseEstimate:
     """Return the response of ``axis`` from force to velocity in ``records``, with its deviations.
 
     Of ``axis`` only the drive's gain and the computation delay are read: the force is the command held over its period,
@@ -287,7 +287,7 @@ def _finished(
     extra: Extra,
     low: float,
     highest: float,
-) -> Estimate:
+) -> ResponseEstimate:
     """The response and its deviations from what the loop answers."""
     period, w = records[0].period, 2.0 * np.pi * answer.frequency
     late = axis.sampling.computation_delay * period
@@ -332,7 +332,7 @@ def _finished(
     seconds = sum(one["seconds"] for one in moved)
     rest = sum(one["rest_share"] * one["seconds"] for one in moved) / seconds
     left_out = int(np.count_nonzero(~kept))
-    return Estimate(
+    return ResponseEstimate(
         found,
         method,
         read[0].kind,

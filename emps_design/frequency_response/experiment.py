@@ -107,7 +107,7 @@ take a shorter stroke, a higher speed, or fewer passes
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class LoopInputs:
     """What the loop is given: ``q_ref`` (n,) [m], ``excitation`` (n,) [V], and ``excited`` (n,) where one of them is.
 
     ``passes`` (n,) [m/s] is the velocity of the passes alone: an excitation that the reference carries is not in it.
@@ -143,7 +143,7 @@ class Reached:
     travel: float
 
 
-def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], Signals]) -> tuple[float, Reached, str]:
+def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], LoopInputs]) -> tuple[float, Reached, str]:
     """The largest share of the excitation whose ``signals(share)`` stay within ``bounds``; what it reaches.
 
     Also the name of the bound that took some of it away, "" where all may stay. Raises :class:`InputError` where the
@@ -178,7 +178,7 @@ def _left_for(bound: Bound, alone: Reached, found: Reached) -> float:
     return (bound.limit - still) / (bound.reached(found) - still)
 
 
-def _reached(axis: Axis, signals: Signals) -> Reached | None:
+def _reached(axis: Axis, signals: LoopInputs) -> Reached | None:
     """What is reached in closed loop; None where the simulation cannot go on."""
     try:
         run = Plant.of(axis).closed_loop(signals.q_ref, voltage_noise=signals.excitation)
@@ -332,7 +332,7 @@ def design_experiment(
     carried = one * period / (1.0 - np.exp(-1j * w * period)) if by == "reference" and _follows_velocity(axis) else one
     trains, each = wave.trains(amplitude * carried, flat, passes)
 
-    def signals(share: float) -> Signals:
+    def signals(share: float) -> LoopInputs:
         return _passes(period, speed, ramp, settle, [share * train for train in trains], at)
 
     share, reached, cut_by = rehearsed(axis, _bounds(axis, limits), signals)
@@ -435,7 +435,7 @@ def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float)
     return max(0.1, usual, 0.5 * np.pi * axis.mechanics.mass * speed / room) if room > 0.0 else usual
 
 
-def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[np.ndarray], at: str) -> Signals:
+def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[np.ndarray], at: str) -> LoopInputs:
     """All passes and where they are excited; the velocity of the passes changes as half a cosine."""
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(round(ramp / period)) + 0.5) / round(ramp / period))
     velocity, added, rest = [np.zeros(settle)], [np.zeros(settle)], np.zeros(settle)
@@ -449,8 +449,8 @@ def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[
     velocities, excitation = speed * np.concatenate(velocity), np.concatenate(added)
     plain, excited_at = period * np.cumsum(velocities), np.concatenate(excited) > 0.0
     if at == PLACES[0]:
-        return Signals(plain, excitation, excited_at, velocities)
-    return Signals(plain + excitation, np.zeros(plain.size), excited_at, velocities)
+        return LoopInputs(plain, excitation, excited_at, velocities)
+    return LoopInputs(plain + excitation, np.zeros(plain.size), excited_at, velocities)
 
 
 def _expected(

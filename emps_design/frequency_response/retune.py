@@ -21,7 +21,7 @@ from emps_design.control.velocity.limits import suggest_filter
 from emps_design.control.velocity.retune import retuned_gains
 from emps_design.control.velocity.specification import check_specification
 from emps_design.errors import InputError, SpecificationError
-from emps_design.frequency_response.coupling import Comparison
+from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.frequency_response.loop import measured_margins, over_limits
 from emps_design.frequency_response.measured_plant import MeasuredPlant
 from emps_design.frequency_response.response import FrequencyResponse
@@ -150,7 +150,7 @@ def suggest_filter_on_response(
     >>> found["filter"]["kind"], abs(found["with"]["measured"]["phase_margin_deg"] - 50.0) < 2.0
     ('notch', True)
     """
-    model = Comparison(response, axis).chain.on(axis)
+    model = ResponseComparison(response, axis).chain.on(axis)
     found = suggest_filter(model, phase_margin_deg, structure, filters, velocity)
     for name in SIDES:
         side = found[name]

@@ -25,7 +25,7 @@ from emps_design.errors import InputError, RankError, RecordError
 from emps_design.identification.excitation import WEAK_RELIABILITY, follows, reliability, share_near_gaps
 from emps_design.identification.inverse_model import LONGEST, LeastSquares, first_part
 from emps_design.identification.model import FRICTION
-from emps_design.identification.problem import Problem
+from emps_design.identification.problem import Regression
 from emps_design.identification.proposals import unexplained
 from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run
@@ -217,7 +217,7 @@ class Errors:
 
 
 def assemble(
-    problem: Problem,
+    problem: Regression,
     fit: LeastSquares,
     estimator: str,
     Z: np.ndarray | None = None,
@@ -349,7 +349,9 @@ def _around(value: float, half: float) -> tuple[float, float]:
     return float(value - half), float(value + half)
 
 
-def with_bootstrap(found: Identification, problem: Problem, fit: LeastSquares, draws: int, seed: int) -> Identification:
+def with_bootstrap(
+    found: Identification, problem: Regression, fit: LeastSquares, draws: int, seed: int
+) -> Identification:
     """``found`` with the deviations and intervals of a bootstrap that redraws the residual's noise ``draws`` times."""
     from emps_design.identification.statistics import residual_bootstrap
 
@@ -367,7 +369,7 @@ def with_bootstrap(found: Identification, problem: Problem, fit: LeastSquares, d
     return replace(found, parameters=parameters)
 
 
-def residual_statistics(problem: Problem, fit: LeastSquares, Z: np.ndarray | None = None) -> tuple[LongRun, int]:
+def residual_statistics(problem: Regression, fit: LeastSquares, Z: np.ndarray | None = None) -> tuple[LongRun, int]:
     """Long-run statistics of the residual of ``fit``, and the HAC lag [rows].
 
     The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far
@@ -386,7 +388,7 @@ def residual_statistics(problem: Problem, fit: LeastSquares, Z: np.ndarray | Non
     return spread, min(lag, len(problem.W) // 10)
 
 
-def told_at_rests(problem: Problem) -> tuple[str, ...]:
+def told_at_rests(problem: Regression) -> tuple[str, ...]:
     """Friction parameters that mostly the rows beside what the ``hold`` chain leaves out tell apart.
 
     Within another period of the cut-off the filter still spreads what friction does at rest. A mass may be told there:
@@ -403,7 +405,7 @@ def told_at_rests(problem: Problem) -> tuple[str, ...]:
     return tuple(n for n, s in pairs if n.startswith(friction) and s > LARGEST_NEAR_GAPS)
 
 
-def _reliability(problem: Problem) -> list[float | None]:
+def _reliability(problem: Regression) -> list[float | None]:
     """Reliability of each column by the same chain on the reference; None where the motion does not follow it.
 
     It tells of noise in derivatives: of mass and friction without the terms beside them, and of terms nothing.
@@ -413,7 +415,7 @@ def _reliability(problem: Problem) -> list[float | None]:
         return [None] * len(names)
     if problem.model.terms:
         filtered = problem.filtered
-        problem = Problem.of(part, problem.axis, problem.model.friction, filtered.chain, filtered.cutoff_hz)
+        problem = Regression.of(part, problem.axis, problem.model.friction, filtered.chain, filtered.cutoff_hz)
     elif part is not problem.record:
         problem = problem.alike(part)
     led = problem.alike(replace(part, q=part.q_ref))

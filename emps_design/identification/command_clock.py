@@ -28,7 +28,7 @@ BEND = int(np.argmin(np.abs(np.subtract(POWERS, 0.5))))  # of the powers, that s
 SURE = 3.0  # standard deviations of a shift, by which it differs from none
 
 
-class Beside(NamedTuple):
+class CommandLag(NamedTuple):
     """By how many ``samples`` a command comes after what the motion answers to (negative: before), and its deviation.
 
     ``samples`` is 0 where the record does not tell it from that; the deviation is then what it leaves open.
@@ -38,7 +38,7 @@ class Beside(NamedTuple):
     std: float
 
 
-def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> Beside:
+def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> CommandLag:
     """By how many samples the command of ``record`` was logged beside its motion.
 
     Judged by what mass, ``friction``, the terms that ``axis`` can have and a bend of the friction leave below
@@ -57,7 +57,7 @@ def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> B
     whole = range(-FARTHEST - 1, FARTHEST + 2)
     strokes = [Strokes(filter_record(moved(record, shift), axis, "hold", cutoff), friction) for shift in whole]
     if strokes[0].count < FEWEST_STROKES:
-        return Beside(0.0, NOT_TOLD)
+        return CommandLag(0.0, NOT_TOLD)
     # Filter and regression are linear, so what is left at a shift between two is made of theirs as the command is.
     left = np.array([one.residual(terms, [one.bent[:, BEND]]) for one in strokes])
     shifts = np.round(STEP * np.arange(-round(FARTHEST / STEP), round(FARTHEST / STEP) + 1), 6)
@@ -68,11 +68,11 @@ def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> B
     noise = float(total[best]) / errors.shape[1]  # the rows are as far apart as the filter lets them differ
     around = [best - NEAR, best, best + NEAR]
     if around[0] < 0 or around[2] >= len(shifts):
-        return Beside(0.0, NOT_TOLD)
+        return CommandLag(0.0, NOT_TOLD)
     curvature = float(np.array([1.0, -2.0, 1.0]) @ total[around]) / (2.0 * (NEAR * STEP) ** 2)
     std = float(np.clip(np.sqrt(noise / max(curvature, 1e-300)), 0.5 * STEP, NOT_TOLD))
     told = total[len(shifts) // 2] - total[best] > SURE**2 * noise
-    return Beside(float(shifts[best]) if told else 0.0, std if told else NOT_TOLD)
+    return CommandLag(float(shifts[best]) if told else 0.0, std if told else NOT_TOLD)
 
 
 def moved(record: Record, samples: float) -> Record:

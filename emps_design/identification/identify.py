@@ -41,7 +41,7 @@ from emps_design.identification.inverse_model import (
     relative_error,
 )
 from emps_design.identification.model import LUMP, LUMPED, ONE_WAY, Model
-from emps_design.identification.problem import Problem, acting, known_part, notes
+from emps_design.identification.problem import Regression, acting, known_part, notes
 from emps_design.identification.proposals import proposed_for, proposed_terms
 from emps_design.identification.result import (
     AUTO,
@@ -80,7 +80,7 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
     if asked is None and hold:
         proposed = proposed_terms(record, axis, friction, cutoff or chosen)
     model = Model(friction, proposed if asked is None else asked)
-    problem = Problem.of(record, axis, model, request.filter, cutoff)
+    problem = Regression.of(record, axis, model, request.filter, cutoff)
     fit = problem.solved()
     extra: dict[str, Any] = {
         "held_out": _held_out(problem, fit, request),
@@ -116,7 +116,7 @@ def _one_way(found: Identification, model: str) -> Identification:
     return replace(found, fitted=whole, parameters=parameters, warnings=(*found.warnings, LUMPED))
 
 
-def _encoder(problem: Problem, fit: LeastSquares) -> np.ndarray | None:
+def _encoder(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
     """What the steps of the encoder alone do to least squares (p,)."""
     if len(problem.record) > LONG:
         return None
@@ -129,7 +129,7 @@ def _encoder(problem: Problem, fit: LeastSquares) -> np.ndarray | None:
     return error_of_steps(first_part(problem.record), problem.axis, problem.model, fit.value, estimate)
 
 
-def _cutoff(problem: Problem, fit: LeastSquares) -> CutoffSensitivity:
+def _cutoff(problem: Regression, fit: LeastSquares) -> CutoffSensitivity:
     """What half and twice the cut-off do; of a long record in part."""
     part = first_part(problem.record)
     if part is not problem.record:
@@ -137,13 +137,13 @@ def _cutoff(problem: Problem, fit: LeastSquares) -> CutoffSensitivity:
         fit = problem.solved()
 
     def at(frequency: float) -> Estimated:
-        other = Problem.of(part, problem.axis, problem.model, cutoff=frequency)
+        other = Regression.of(part, problem.axis, problem.model, cutoff=frequency)
         return _estimated(other, other.solved())
 
     return cutoff_sensitivity(problem.names, _estimated(problem, fit), problem.filtered.band_hz, part.period, at)
 
 
-def _estimated(problem: Problem, fit: LeastSquares) -> Estimated:
+def _estimated(problem: Regression, fit: LeastSquares) -> Estimated:
     """Least squares, and what the encoder's noise in the mass's column is known to take from it: it pulls it down."""
     square = problem.W.T @ problem.W
     own = 1.0 / float(np.linalg.inv(square)[0, 0])  # of the mass's column, less what the others explain
@@ -154,7 +154,7 @@ def _estimated(problem: Problem, fit: LeastSquares) -> Estimated:
 
 
 def _against_hold(
-    problem: Problem, fit: LeastSquares, cutoff: float
+    problem: Regression, fit: LeastSquares, cutoff: float
 ) -> tuple[Identification | None, np.ndarray | None]:
     """The same by the chain that models hold and rest, and what ``fit`` is off by; long records in part.
 
@@ -164,14 +164,14 @@ def _against_hold(
     if part is not problem.record:
         fit = problem.alike(part).solved()
     try:
-        judge = Problem.of(part, problem.axis, problem.model, cutoff=cutoff)
+        judge = Regression.of(part, problem.axis, problem.model, cutoff=cutoff)
         better = assemble(judge, judge.solved(), "least_squares")
     except (RecordError, RankError):
         return None, None
     return better, fit.value - better.solution()
 
 
-def _held_out(problem: Problem, fit: LeastSquares, request: Request) -> dict[str, Any] | None:
+def _held_out(problem: Regression, fit: LeastSquares, request: Request) -> dict[str, Any] | None:
     """Force error on data that took no part: another record, or the last third; None where the rest cannot do alone."""
     if request.holdout is not None:
         other = problem.alike(force_free(request.holdout, problem.axis, request.external_force))
@@ -188,7 +188,7 @@ def _held_out(problem: Problem, fit: LeastSquares, request: Request) -> dict[str
 def held_out_on(found: Identification, holdout: Record, external_force: str = REFUSE) -> dict[str, Any]:
     """Force error on ``holdout`` of the parameters ``found``, by the inverse model and the filter they came from."""
     record = force_free(holdout, found.axis, external_force)
-    other = Problem.of(record, found.axis, found.fitted, found.chain, found.cutoff_hz)
+    other = Regression.of(record, found.axis, found.fitted, found.chain, found.cutoff_hz)
     return _judgement(holdout.name, other.Y - other.W @ found.solution(), other.Y, other.used)
 
 

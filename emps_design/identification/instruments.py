@@ -20,7 +20,7 @@ from emps_design.identification.excitation import REFUSE, check_record
 from emps_design.identification.inverse_model import LeastSquares, first_part, least_squares, regression
 from emps_design.identification.model import Model
 from emps_design.identification.output_error import error_of_steps, simulate
-from emps_design.identification.problem import Problem, known_part, notes
+from emps_design.identification.problem import Regression, known_part, notes
 from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.laws import NONE
@@ -74,7 +74,7 @@ class InstrumentalFit:
     The test costs little; deviations and intervals are made by :meth:`identification` alone.
     """
 
-    problem: Problem
+    problem: Regression
     start: LeastSquares
     fit: LeastSquares
     Z: np.ndarray
@@ -91,7 +91,7 @@ class InstrumentalFit:
             return _solved(_columns(exact, again), again).value
 
         def at(frequency: float) -> Estimated:
-            other = Problem.of(record, axis, model, cutoff=frequency)
+            other = Regression.of(record, axis, model, cutoff=frequency)
             columns = _columns(self.led, other)
             found = _solved(columns, other)
             return Estimated(other.told(found.value), residual_statistics(other, found, columns)[0].std)
@@ -139,7 +139,7 @@ def solve_with_instruments(
     axis = axis.supplied_by(record)
     record = check_record(record, axis, external_force)
     axis = known_part(axis, model)
-    problem = Problem.of(record, axis, model, cutoff=cutoff)
+    problem = Regression.of(record, axis, model, cutoff=cutoff)
     model, start = problem.model, problem.solved()
     spread, _ = residual_statistics(problem, start)
     value, fit, Z, led = start.value, start, problem.W, record
@@ -161,13 +161,13 @@ def _led(record: Record, axis: Axis, model: Model, value: np.ndarray) -> Record:
     return replace(record, q=run.position, u=run.u)
 
 
-def _columns(led: Record, problem: Problem) -> np.ndarray:
+def _columns(led: Record, problem: Regression) -> np.ndarray:
     """Columns (n, p) of a record ``led`` by the reference, filtered as the ``problem`` is."""
     Z, _ = regression(hold_chain(led, problem.axis.drive.gain, problem.filtered.cutoff_hz), problem.model)
     return Z * problem.used[:, None]
 
 
-def hausman_test(problem: Problem, Z: np.ndarray, shift: float) -> HausmanTest:
+def hausman_test(problem: Regression, Z: np.ndarray, shift: float) -> HausmanTest:
     """Durbin-Wu-Hausman test by the augmented regression: W with what of it the instruments Z (n, p) do not explain.
 
     ``shift`` is what the two estimates differ by, in standard deviations.
@@ -199,7 +199,7 @@ def hausman_test(problem: Problem, Z: np.ndarray, shift: float) -> HausmanTest:
     return HausmanTest(statistic, missed.shape[1], float(chi2.sf(statistic, missed.shape[1])), shift)
 
 
-def _solved(Z: np.ndarray, problem: Problem) -> LeastSquares:
+def _solved(Z: np.ndarray, problem: Regression) -> LeastSquares:
     """(Z^T W)^-1 Z^T Y in the shape of a least-squares fit, with the deviations for independent errors."""
     W, Y = problem.W, problem.Y
     bread = np.linalg.inv(Z.T @ W)

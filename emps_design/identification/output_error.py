@@ -35,7 +35,7 @@ from emps_design.identification.excitation import REFUSE, check_record
 from emps_design.identification.filters import low_pass
 from emps_design.identification.inverse_model import LeastSquares, chosen_cutoff, least_squares, regression
 from emps_design.identification.model import Model
-from emps_design.identification.problem import Problem, acting, identified_effects, known_part, notes, settled
+from emps_design.identification.problem import Regression, acting, identified_effects, known_part, notes, settled
 from emps_design.identification.result import Identification
 from emps_design.laws import NONE
 from emps_design.observer import motor_force
@@ -195,26 +195,26 @@ def identify_by_output_error(
     return replace(found, series={**found.series, "measured": problem.Y, "model": problem.Y - residual})
 
 
-def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[Problem, np.ndarray, list[str]]:
+def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[Regression, np.ndarray, list[str]]:
     """The regression at this ``cutoff`` [Hz], where its least squares start the search (p,), and notes on both.
 
     With rests, and from the mechanics of the ``axis``, where too little of the record is away from rest.
     """
     said = notes(axis, simulated=True)
     try:
-        problem = Problem.of(record, axis, model, cutoff=cutoff)
+        problem = Regression.of(record, axis, model, cutoff=cutoff)
         return problem, problem.solved().value, said
     except (RecordError, RankError):
         filtered = hold_chain(record, axis.drive.gain, cutoff, fewest_rows=0)
         filtered = replace(filtered, used=np.ones_like(filtered.used))
         model = settled(filtered, model)
         W, Y = regression(filtered, model)
-        return Problem(record, axis, model, filtered, W, Y), _mechanics(axis, model), [*said, RESTS_TAKE_PART]
+        return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), [*said, RESTS_TAKE_PART]
 
 
 def _linear(
-    problem: Problem, jacobian: np.ndarray, residual: np.ndarray, value: np.ndarray
-) -> tuple[Problem, LeastSquares]:
+    problem: Regression, jacobian: np.ndarray, residual: np.ndarray, value: np.ndarray
+) -> tuple[Regression, LeastSquares]:
     """The ``problem`` with the derivatives (n, p) as its columns, and its solution ``value`` (p,)."""
     spread, condition = np.linalg.inv(jacobian.T @ jacobian), float(np.linalg.cond(jacobian))
     force, rows = problem.filtered.force * problem.used, int(problem.used.sum())
@@ -222,12 +222,12 @@ def _linear(
     return replace(problem, W=jacobian, Y=force), fit
 
 
-def _edge(problem: Problem) -> int:
+def _edge(problem: Regression) -> int:
     """Samples at each end in which the filter makes up what lies outside the record."""
     return int(1.0 / (problem.filtered.band_hz * problem.record.period))
 
 
-def _rows(force: np.ndarray, problem: Problem) -> np.ndarray:
+def _rows(force: np.ndarray, problem: Regression) -> np.ndarray:
     """A ``force`` [N] of the record's rate, filtered to the rows of the ``problem``."""
     smooth = low_pass(force, problem.filtered.band_hz, problem.record.period)
     return problem.filtered.reduce(smooth) * problem.used

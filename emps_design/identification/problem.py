@@ -122,7 +122,7 @@ def notes(axis: Axis, simulated: bool = False) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Regression:
     """``Y = W X + e`` of one record: ``W`` (n, p), ``Y`` (n,) [N], zero in the rows that take no part.
 
     ``axis`` gives the drive and what is known already; ``filtered`` is the record after its chain of filters, without
@@ -140,7 +140,7 @@ class Problem:
     @classmethod
     def of(
         cls, record: Record, axis: Axis, model: str | Model, chain: str = "hold", cutoff: float | None = None
-    ) -> Problem:
+    ) -> Regression:
         """The regression of ``record`` after a ``chain`` of filters with ``cutoff`` [Hz] (None: the chain's own).
 
         A ``model`` without the point that it needs is taken around its solution. Raises :class:`RecordError` where the
@@ -149,7 +149,7 @@ class Problem:
         >>> from emps_design.machines import machine
         >>> from emps_design.simulation.synthetic import synthetic_record
         >>> axis = machine("emps2019")
-        >>> one = Problem.of(synthetic_record(axis, laps=1), axis, "symmetric", cutoff=40.0)
+        >>> one = Regression.of(synthetic_record(axis, laps=1), axis, "symmetric", cutoff=40.0)
         >>> one.names[0], round(one.solved().value[0])
         ('mass', 95)
         """
@@ -158,7 +158,7 @@ class Problem:
         W, Y = regression(filtered, model)
         return cls(record, axis, model, filtered.without_motion(), W, Y)
 
-    def alike(self, record: Record) -> Problem:
+    def alike(self, record: Record) -> Regression:
         """The regression of another ``record`` of the same axis, filtered in the same way."""
         return self.of(record, self.axis, self.model, self.filtered.chain, self.filtered.cutoff_hz)
 

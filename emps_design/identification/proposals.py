@@ -31,7 +31,7 @@ from emps_design.identification.excitation import check_record, follows
 from emps_design.identification.filters import motion
 from emps_design.identification.inverse_model import Filtered, chosen_cutoff, first_part, regression
 from emps_design.identification.model import Model, powered
-from emps_design.identification.problem import Problem, acting, filter_record, known_part
+from emps_design.identification.problem import Regression, acting, filter_record, known_part
 from emps_design.identification.result import Request
 from emps_design.identification.statistics import LongRun
 from emps_design.records import Record
@@ -102,7 +102,7 @@ class Unexplained:
         return [f"{left}: the machine has something that the model lacks; next: diagnose, which names it"]
 
 
-def unexplained(problem: Problem, residual: np.ndarray, spread: LongRun) -> Unexplained:
+def unexplained(problem: Regression, residual: np.ndarray, spread: LongRun) -> Unexplained:
     """Compare the ``residual`` (n,) [N] of ``problem`` with itself where the same motion comes again."""
     steps, away = problem.filtered.independent_rows
     every = steps * max(1, -(-len(residual) // steps // MOST))
@@ -126,7 +126,7 @@ def unexplained(problem: Problem, residual: np.ndarray, spread: LongRun) -> Unex
     return Unexplained(share, share * part**0.5, passes, float(np.sqrt(1.0 - part + part * passes)))
 
 
-def _state(problem: Problem) -> np.ndarray:
+def _state(problem: Regression) -> np.ndarray:
     """Position, velocity and acceleration (n, 3) that were meant: what noise does to the motion tells of the noise.
 
     Those of the reference where the motion follows it, late or not, else of the motion well below the cut-off.

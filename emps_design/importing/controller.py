@@ -63,7 +63,7 @@ COARSER = 1.25  # times the encoder's step: a position that was rounded once mor
 
 
 @dataclass(frozen=True)
-class Replay:
+class LawReplay:
     """What the ``law`` gives, ``wanted`` (n,), for a ``record``, and the samples ``used`` (n,) bool that can tell."""
 
     record: Record
@@ -95,7 +95,7 @@ def can_replay(axis: Axis, record: Record) -> bool:
     )
 
 
-def run_law(axis: Axis, record: Record) -> Replay:
+def run_law(axis: Axis, record: Record) -> LawReplay:
     """Run the law of ``axis`` on the reference and the position of ``record``.
 
     One with an integrator runs without its limit: where that stood at first and behind each time at the limit is then a
@@ -119,7 +119,7 @@ def run_law(axis: Axis, record: Record) -> Replay:
         wanted = wanted + levels(record.u - wanted, used)
     else:
         used = tells & ~(above & (wanted > AT_LIMIT * limit) | below & (wanted < -AT_LIMIT * limit))
-    return Replay(record, law, free, wanted, used)
+    return LawReplay(record, law, free, wanted, used)
 
 
 def _centred(values: np.ndarray) -> np.ndarray:
@@ -164,7 +164,7 @@ def levels(gap: np.ndarray, used: np.ndarray) -> np.ndarray:
     return level
 
 
-def likeness(replay: Replay, unit: str) -> str:
+def likeness(replay: LawReplay, unit: str) -> str:
     """Say what the gap of ``replay`` looks like; ``unit`` is that of the command.
 
     >>> from emps_design.importing.controller import run_law
@@ -187,7 +187,7 @@ def likeness(replay: Replay, unit: str) -> str:
     return "the record is damaged, or the command is another controller's (emps-design law says whose)"
 
 
-def _looks(replay: Replay, unit: str) -> Iterator[str]:
+def _looks(replay: LawReplay, unit: str) -> Iterator[str]:
     """What is found, simplest first; "" for what is not."""
     record, used, gap = replay.record, replay.used, replay.gap
     yield odd_increments(record)
@@ -213,7 +213,7 @@ def _looks(replay: Replay, unit: str) -> Iterator[str]:
     yield _position_low_passed(replay)
 
 
-def _left(replay: Replay, command: np.ndarray, where: np.ndarray | None = None) -> float:
+def _left(replay: LawReplay, command: np.ndarray, where: np.ndarray | None = None) -> float:
     """What ``command`` (n,) leaves of the recorded one, as a share of what that of the law leaves, or of all of it."""
     here = replay.used if where is None else replay.used & where
     u = replay.record.u[here]
@@ -221,7 +221,7 @@ def _left(replay: Replay, command: np.ndarray, where: np.ndarray | None = None) 
     return float(np.sum((u - command[here]) ** 2)) / own if own else 1.0
 
 
-def _few(replay: Replay, unit: str) -> str:
+def _few(replay: LawReplay, unit: str) -> str:
     """Whether a few samples hold the gap."""
     record, power = replay.record, replay.gap**2
     order = np.argsort(-power)[: max(1, int(FEW * replay.used.sum()))]
@@ -235,7 +235,7 @@ def _few(replay: Replay, unit: str) -> str:
     return f"one sample, {value} at {record.t[k]:.4g} s, is far from what the law gives"
 
 
-def _late(replay: Replay) -> str:
+def _late(replay: LawReplay) -> str:
     """Whether the recorded command is that of the law some samples later, or earlier."""
     used = replay.used
     u, wanted = (np.where(used, x - x[used].mean(), 0.0) for x in (replay.record.u, replay.wanted))
@@ -246,7 +246,7 @@ def _late(replay: Replay) -> str:
     return f"the command is recorded {abs(late)} sample{many} {way} than reference and position"
 
 
-def _gain_from(replay: Replay) -> str:
+def _gain_from(replay: LawReplay) -> str:
     """Whether the command is a multiple of that of the law in a part of the record."""
     record, used, wanted = replay.record, replay.used, replay.wanted
     edges = np.linspace(0, len(record), PIECES + 1).astype(int)
@@ -265,7 +265,7 @@ def _gain_from(replay: Replay) -> str:
     return f"from about {since:.3g} s on the command is {np.median(gains[off]):.3g} times what the law gives"
 
 
-def _command_low_passed(replay: Replay) -> str:
+def _command_low_passed(replay: LawReplay) -> str:
     """Whether the command is recorded behind a low-pass of first order."""
     from scipy.signal import lfilter
 
@@ -277,7 +277,7 @@ def _command_low_passed(replay: Replay) -> str:
     return f"the command is recorded behind a low-pass of about {corner:g} Hz" if left[corner] < EXPLAINS else ""
 
 
-def _position_low_passed(replay: Replay) -> str:
+def _position_low_passed(replay: LawReplay) -> str:
     """Whether the position is recorded behind a low-pass of first order."""
     from scipy.signal import lfilter
 
@@ -340,7 +340,7 @@ def _parts_of(record: Record) -> list[tuple[int, Record]]:
     return [(start, record.part(start, start + size)) for start in np.linspace(0, n - size, PARTS).astype(int).tolist()]
 
 
-def _contradicts(axis: Axis, replay: Replay) -> bool | None:
+def _contradicts(axis: Axis, replay: LawReplay) -> bool | None:
     """Whether the gap of ``replay`` is more than noise, resolution and rounding allow; None where rounding hides it."""
     gap, swing = replay.gap, replay.swing
     if not swing > 0.0:
@@ -363,7 +363,7 @@ def _contradicts(axis: Axis, replay: Replay) -> bool | None:
     return bool(np.any(sizes > np.maximum(harmless, ROUNDING * np.array((means, whole, whole)))))
 
 
-def _sizes(replay: Replay, gap: np.ndarray, noise: float) -> np.ndarray:
+def _sizes(replay: LawReplay, gap: np.ndarray, noise: float) -> np.ndarray:
     """Rms of the means of ``gap`` over a block, of the samples far outside the noise, and of all (3,)."""
     used, width = replay.used, _width(replay.record)
     rows = gap.size // width * width
@@ -373,7 +373,7 @@ def _sizes(replay: Replay, gap: np.ndarray, noise: float) -> np.ndarray:
     return np.array((_rms(means), _rms(alone), _rms(gap[used])))
 
 
-def _rounded(axis: Axis, replay: Replay) -> np.ndarray | None:
+def _rounded(axis: Axis, replay: LawReplay) -> np.ndarray | None:
     """What the rounding of the recorded signals does to the law (n,); None where they have the encoder's own steps."""
     record, law = replay.record, replay.law
     own = axis.sampling.encoder_resolution

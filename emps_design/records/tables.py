@@ -388,7 +388,7 @@ def _scaled(header: dict[str, list[str]], place_of: dict[str, int], chosen: list
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Columns by title, those that were asked for; all ``titles``; the row of the file with the first sample."""
 
     columns: dict[str, np.ndarray]
@@ -397,7 +397,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def read_table(file: BinaryIO, source: str, known: Choice, most: int = LONGEST) -> Table:
+def read_table(file: BinaryIO, source: str, known: Choice, most: int = LONGEST) -> TextTable:
     """Return the columns of a text table in whose titles ``known`` finds a meaning; it has at ``most`` so many samples.
 
     It is gone through twice, to count its rows and to read them block by block: its text is never whole in memory.
@@ -411,7 +411,7 @@ def read_table(file: BinaryIO, source: str, known: Choice, most: int = LONGEST) 
         lines = chain(head, text)
         if is_scope(head):
             scope = read_scope(lines, rows, source, known)
-            return Table(scope.columns, scope.titles, scope.first_row, scope.notes)
+            return TextTable(scope.columns, scope.titles, scope.first_row, scope.notes)
         return _read(head, lines, rows, source, known)
     except UnicodeDecodeError as error:
         place = file.tell() - len(error.object) + error.start
@@ -504,7 +504,7 @@ def _unfinished_line(piece: str, begun: int, source: str) -> int:
     return begun + len(piece) if last < 0 else len(piece) - last - 1
 
 
-def _read(head: list[str], lines: Iterator[str], rows: int, source: str, known: Choice) -> Table:
+def _read(head: list[str], lines: Iterator[str], rows: int, source: str, known: Choice) -> TextTable:
     header = find_header(head, known, source)
     titles = header.titles
     chosen = set(map(str, known(titles)))
@@ -518,7 +518,7 @@ def _read(head: list[str], lines: Iterator[str], rows: int, source: str, known: 
     if not filled:
         raise RecordError(f"{source}: found a header and no samples")
     found = {titles[i]: column[:filled] for i, column in zip(wanted, columns, strict=True)}
-    return Table(found, tuple(titles), header.samples + 1)
+    return TextTable(found, tuple(titles), header.samples + 1)
 
 
 def _blocks(lines: Iterator[str], row: int) -> Iterator[tuple[int, list[str]]]:

@@ -186,10 +186,10 @@ def assemble_report(
         velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     measured = None
     if response is not None:
-        from emps_design.frequency_response.coupling import Comparison
+        from emps_design.frequency_response.coupling import ResponseComparison
         from emps_design.report.frequency_response import response_section
 
-        measured = response_section(Comparison(response, loaded))
+        measured = response_section(ResponseComparison(response, loaded))
     assessed = None
     stops: tuple[str, ...] = ()
     cautions: tuple[str, ...] = ()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.frequency_response.coupling import Comparison, MassChain
+from emps_design.frequency_response.coupling import MassChain, ResponseComparison
 from emps_design.frequency_response.response import BAND, resonances
 from emps_design.report.display import NOTHING, number
 from emps_design.report.page import Callout, Picture, Section, Table, Text
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 COLOURS = (RED, GREEN)
 
 
-def response_figure(compared: Comparison, ratio: np.ndarray | None = None) -> Figure:
+def response_figure(compared: ResponseComparison, ratio: np.ndarray | None = None) -> Figure:
     """Draw magnitude and phase with the 95 % band, the models beside it, and below them deviation and coherence.
 
     ``ratio`` (n,) is the ratio of the spectra.
@@ -70,7 +70,7 @@ def response_figure(compared: Comparison, ratio: np.ndarray | None = None) -> Fi
     return figure
 
 
-def response_blocks(compared: Comparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
+def response_blocks(compared: ResponseComparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
     """Return the picture of a response with the model of its axis and the masses that fit it, and what they say."""
     warnings = (*compared.response.warnings, *compared.chain.warnings)
     return (
@@ -85,7 +85,7 @@ def response_blocks(compared: Comparison, ratio: np.ndarray | None = None) -> tu
     )
 
 
-def response_section(compared: Comparison) -> Section:
+def response_section(compared: ResponseComparison) -> Section:
     """Return the section on a measured response."""
     return Section(f"Measured response {compared.response.name}", *response_blocks(compared))
 

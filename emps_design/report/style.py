@@ -82,7 +82,7 @@ RC: dict[Any, Any] = {
 _SETTINGS = threading.RLock()  # matplotlib's settings belong to the process; the studio draws in several threads
 
 
-class Margins(LayoutEngine):
+class FigureMargins(LayoutEngine):
     """Lay out one grid of axes with labels and titles, and nothing else outside of them.
 
     ``above`` [points] is kept free over the first row.
@@ -223,7 +223,7 @@ def plain_subplots(
     They are laid out in a fraction of the time; ``above`` [points] is kept free over them.
     """
 
-    return subplots(rows, columns, height, layout=Margins(above), **options)
+    return subplots(rows, columns, height, layout=FigureMargins(above), **options)
 
 
 def labelled(figure: Figure, units: Units) -> Figure:

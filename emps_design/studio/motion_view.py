@@ -46,7 +46,7 @@ titles may have units. Way points are enough: between its rows the reference goe
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionRuns:
     """Runs along one reference by the names of their controllers; ``notes`` say what is not there, and why."""
 
     state: State
@@ -136,7 +136,7 @@ def reference_of(
     return "there and back", np.concatenate([np.zeros(round(state.pause / period)), way]), None
 
 
-def move(state: State, file: tuple[str, bytes] | None, record: Record | None, progress: Progress) -> Motion:
+def move(state: State, file: tuple[str, bytes] | None, record: Record | None, progress: Progress) -> MotionRuns:
     """Simulate the motion of ``state`` under the design, and under the axis's own controller where that follows it."""
     from emps_design.simulation.scenarios import follow
     from emps_design.studio.files_view import follows
@@ -154,7 +154,7 @@ def move(state: State, file: tuple[str, bytes] | None, record: Record | None, pr
     except EmpsError as error:
         notes.append(f"No second run: {error}.")
     progress("drawing", 0.9)
-    return Motion(state, about, loop, runs, tuple(notes))
+    return MotionRuns(state, about, loop, runs, tuple(notes))
 
 
 class MotionView:
@@ -164,7 +164,7 @@ class MotionView:
         self, state: Callable[[], State], turn: Callable[[str, Any], None], record: Callable[[], Record | None]
     ):
         self._state, self._record, now = state, record, state()
-        self.found: Motion | None = None
+        self.found: MotionRuns | None = None
         self._of: State | None = None
         self._along: Record | None = None
         self._file: tuple[str, bytes] | None = None
@@ -232,13 +232,13 @@ class MotionView:
         def failed(text: str) -> None:
             self.message.object = units.text(message(text, "stop"))
 
-        def done(found: Motion) -> None:
+        def done(found: MotionRuns) -> None:
             if self._of is state:
                 self._done(found)
 
         self.job.start(lambda progress: move(state, file, record, progress), done, failed)
 
-    def _done(self, found: Motion) -> None:
+    def _done(self, found: MotionRuns) -> None:
         self.found, units = found, found.state.axis.units
         drawn = svg(labelled(motion_figure(found.runs), units), "motion")  # before the words that stand over it
         level, text = found.verdict()

@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from emps_design.identification.controller.fit import (
-    Filter,
-    Fit,
+    CommandFilter,
+    LawFit,
     compress,
     derivatives,
     estimator_slope,
@@ -39,8 +39,8 @@ from emps_design.identification.controller.regressors import (
     PLACE,
     PROPORTIONAL,
     AnyEstimator,
-    Signals,
-    Structure,
+    ControllerSignals,
+    LawStructure,
     Timing,
     could_pass_for,
     regressors,
@@ -114,7 +114,9 @@ def acting(command: np.ndarray, wanted: np.ndarray, noise: float) -> tuple[np.nd
     return (np.abs(wanted) > limit) & (np.abs(command) > limit - AT * noise), limit
 
 
-def choose(signals: Signals, start: Fit, worth: float, limited: np.ndarray | None = None) -> tuple[Fit, list[Fit]]:
+def choose(
+    signals: ControllerSignals, start: LawFit, worth: float, limited: np.ndarray | None = None
+) -> tuple[LawFit, list[LawFit]]:
     """The fit whose rivals are all worse, and these rivals, the best first.
 
     A filter must be ``worth`` so much of the information criterion, and so must one in the velocity estimator.
@@ -132,12 +134,12 @@ def choose(signals: Signals, start: Fit, worth: float, limited: np.ndarray | Non
         found = simplify(signals, others[0], worth, limited)
 
 
-def _filters_velocity(found: Fit) -> bool:
+def _filters_velocity(found: LawFit) -> bool:
     """Whether its velocity estimator has a number that is sought, as a filter has."""
     return found.structure.velocity and sought(found.timing.velocity_estimator)
 
 
-def _shape(found: Fit) -> tuple[object, ...]:
+def _shape(found: LawFit) -> tuple[object, ...]:
     """A law without its numbers."""
     estimator = found.timing.velocity_estimator
     kind = estimator_in_words(estimator) if not sought(estimator) else getattr(estimator, "kind", "")
@@ -145,7 +147,7 @@ def _shape(found: Fit) -> tuple[object, ...]:
     return found.structure, timing, tuple(one.kind for one in found.filters)
 
 
-def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | None) -> Fit:
+def simplify(signals: ControllerSignals, found: LawFit, worth: float, limited: np.ndarray | None) -> LawFit:
     """Leave out terms and filters one at a time, as long as the information criterion does not mind."""
     while True:
         fewer = [(*found.filters[:i], *found.filters[i + 1 :]) for i in range(len(found.filters))]
@@ -166,7 +168,7 @@ def simplify(signals: Signals, found: Fit, worth: float, limited: np.ndarray | N
             return replace(found, timing=replace(found.timing, profile=False))
 
 
-def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit]:
+def rivals(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> list[LawFit]:
     """The best other fit for each thing that could be otherwise (estimator, delay, form), the best first.
 
     Of the position loop's samples, and of estimators beside one with a number, the best few: more than one may explain
@@ -174,11 +176,11 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
     """
     timing = found.timing
     loops = [replace(found, timing=loop) for loop in _other_loops(found)]
-    kinds: list[Iterable[Fit]] = [
+    kinds: list[Iterable[LawFit]] = [
         [replace(found, timing=replace(timing, delay=delay)) for delay in DELAYS if delay != timing.delay],
         [replace(found, structure=structure) for structure in _other_forms(found.structure)],
     ]  # fmt: skip
-    estimated: list[Fit] = []
+    estimated: list[LawFit] = []
     if found.structure.velocity:
         instead = rivals_of(timing.velocity_estimator, signals.period)
         estimated = [replace(found, timing=replace(timing, velocity_estimator=one)) for one in instead]
@@ -195,7 +197,7 @@ def rivals(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[Fit
     return sorted(others, key=lambda f: f.criterion)
 
 
-def mirrored(signals: Signals, found: Fit, limited: np.ndarray | None) -> Fit | None:
+def mirrored(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> LawFit | None:
     """The other minimum of a cascade whose position loop and integral may change places, None where there is none.
 
     With a reference velocity taken whole and a position loop in every sample it is the very same law.
@@ -211,8 +213,8 @@ def mirrored(signals: Signals, found: Fit, limited: np.ndarray | None) -> Fit | 
 
 
 def _in_full(
-    signals: Signals, trials: Iterable[Fit], limited: np.ndarray | None, worst: float = np.inf
-) -> Iterator[Fit]:
+    signals: ControllerSignals, trials: Iterable[LawFit], limited: np.ndarray | None, worst: float = np.inf
+) -> Iterator[LawFit]:
     """The trials that stabilise, fitted, the most promising first; those with an estimate beyond ``worst`` left out."""
     estimates = [(_first_order(signals, one, limited), i, one) for i, one in enumerate(trials)]
     for estimate, _, one in sorted(estimates, key=lambda pair: pair[:2])[:FITTED]:
@@ -223,7 +225,7 @@ def _in_full(
             yield refit
 
 
-def _first_order(signals: Signals, one: Fit, limited: np.ndarray | None) -> float:
+def _first_order(signals: ControllerSignals, one: LawFit, limited: np.ndarray | None) -> float:
     """Criterion of a fit after one step of its filters, infinite where it would not stabilise."""
     raw = regressors(signals, one.timing, limited)
     columns = filtered(one.filters, raw, signals.period)
@@ -239,7 +241,7 @@ def _first_order(signals: Signals, one: Fit, limited: np.ndarray | None) -> floa
     return replace(now, cost=cost).criterion
 
 
-def _other_forms(structure: Structure) -> list[Structure]:
+def _other_forms(structure: LawStructure) -> list[LawStructure]:
     if not structure.velocity:
         return []
     if not structure.form:  # an integral of the reference's velocity is its position
@@ -249,7 +251,7 @@ def _other_forms(structure: Structure) -> list[Structure]:
     return [replace(structure, form=other, share=share) for share in dict.fromkeys((structure.share, None))]
 
 
-def _other_loops(found: Fit) -> list[Timing]:
+def _other_loops(found: LawFit) -> list[Timing]:
     """Other rates of the position loop from the first sample on, and other samples for the rate that was found."""
     if not found.structure.position:
         return []
@@ -268,12 +270,12 @@ def _sources(timing: Timing, estimators: Sequence[AnyEstimator]) -> list[Timing]
 
 
 @dataclass(frozen=True)
-class Found:
+class BestLaw:
     """The law that explains a command best, and how well: ``share`` of the command's deviation is left."""
 
-    signals: Signals  # whitened
-    fit: Fit
-    rivals: list[Fit]
+    signals: ControllerSignals  # whitened
+    fit: LawFit
+    rivals: list[LawFit]
     rms: float
     share: float
     limited: np.ndarray | None
@@ -285,17 +287,17 @@ class Found:
         """Samples (n,) in which the integral stands still."""
         return self.limited if self.holds else None
 
-    def apart(self, other: Fit) -> float:
+    def apart(self, other: LawFit) -> float:
         """Standard deviations of the noise between the commands of the law and of ``other``, over all samples."""
         one, another = (command_of(self.signals, law, self.held) for law in (self.fit, other))
         noise = np.sqrt(self.fit.cost / self.fit.samples)
         return float(np.linalg.norm(self.signals.counted(one - another)) / noise)
 
 
-def best_law(signals: Signals, only: Structure | None = None) -> Found:
+def best_law(signals: ControllerSignals, only: LawStructure | None = None) -> BestLaw:
     """The law that explains the command best, whatever that is worth; of the structure ``only`` where that is given."""
     flat = plateau(signals.command) & signals.used
-    worth, none = 0.0, tuple[Filter, ...]()
+    worth, none = 0.0, tuple[CommandFilter, ...]()
     attempts = []
     first = signals.first_level if signals.records else signals
     whole, flat_there = slice(0, len(first)), flat[: len(first)]
@@ -308,10 +310,10 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
             timing = replace(timing, phase=(part.start + timing.phase) % timing.every)
         else:
             structure, timing, filters = only, Timing(), none
-        start = Fit(replace(structure, offset=True), timing, filters, 0.0, np.zeros(0), 1.0, 1)
+        start = LawFit(replace(structure, offset=True), timing, filters, 0.0, np.zeros(0), 1.0, 1)
         if flat.any() and not signals.velocity_reference:  # a search takes a clipped peak for a filtered one
             free = replace(signals, used=signals.used & ~flat)
-            plain = Fit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
+            plain = LawFit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
             start = min((fit(free, one) for one in (start, plain)), key=lambda one: one.criterion)
         free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
         left = _left(free, fitted, limited if holds else None)
@@ -340,12 +342,12 @@ def best_law(signals: Signals, only: Structure | None = None) -> Found:
     fitted, *rivals = map(_in_order, (fitted, *rivals))
     rms = float(np.sqrt(np.mean(_left(free, fitted, held)[free.used] ** 2)))
     share = rms / float(np.std(signals.command[free.used]))
-    return Found(white, fitted, rivals, rms, share, limited, limit, holds)
+    return BestLaw(white, fitted, rivals, rms, share, limited, limit, holds)
 
 
 def _chosen(
-    free: Signals, start: Fit, rivalled: bool, worth: float, held: np.ndarray | None
-) -> tuple[Signals, Fit, list[Fit]]:
+    free: ControllerSignals, start: LawFit, rivalled: bool, worth: float, held: np.ndarray | None
+) -> tuple[ControllerSignals, LawFit, list[LawFit]]:
     """The signals behind a filter that makes what ``start`` leaves white, the law there, and its rivals if wanted."""
     fitted = simplify(free, start, worth, held)
     whitening = whitening_filter(_left(free, fitted, held), free.used) if free.times is None else free.whitening
@@ -355,24 +357,24 @@ def _chosen(
     return white, simplify(white, fit(white, fitted, held), worth, held), []
 
 
-def _in_order(found: Fit) -> Fit:
+def _in_order(found: LawFit) -> LawFit:
     """``found`` with its filters by kind and frequency: which of two was found first is a matter of the last digit."""
     return replace(found, filters=tuple(sorted(found.filters, key=lambda one: (one.kind, one.frequency))))
 
 
-def command_of(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
+def command_of(signals: ControllerSignals, found: LawFit, held: np.ndarray | None) -> np.ndarray:
     """Command (n,) of a fit without its limit."""
     return filtered(found.filters, regressors(signals, found.timing, held) @ found.beta, signals.period)
 
 
-def _left(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
+def _left(signals: ControllerSignals, found: LawFit, held: np.ndarray | None) -> np.ndarray:
     """What a fit leaves (n,) of the command in the samples that count, 0 in others."""
     left = np.zeros(len(signals))
     left[signals.used] = signals.counted(signals.command - command_of(signals, found, held))
     return left
 
 
-def _as_good_there(signals: Signals, left: np.ndarray, flat: np.ndarray) -> bool:
+def _as_good_there(signals: ControllerSignals, left: np.ndarray, flat: np.ndarray) -> bool:
     """Whether a law without a limit explains what is ``flat`` (n,) as well as the rest: then none acts there."""
     there, rest = flat & signals.used, ~flat & signals.used
     if not there.any():
@@ -382,7 +384,7 @@ def _as_good_there(signals: Signals, left: np.ndarray, flat: np.ndarray) -> bool
     return of_rest <= at_all and float(np.sqrt(np.mean(left[there] ** 2))) <= WORSE_THERE * of_rest
 
 
-def _wanted(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray:
+def _wanted(signals: ControllerSignals, found: LawFit, held: np.ndarray | None) -> np.ndarray:
     """Command (n,) of a fit without its limit, with the constant of each level."""
     command = command_of(signals, found, held)
     if signals.levels is None:
@@ -393,8 +395,8 @@ def _wanted(signals: Signals, found: Fit, held: np.ndarray | None) -> np.ndarray
 
 
 def _up_to_the_limit(
-    signals: Signals, start: Fit, flat: np.ndarray
-) -> tuple[Signals, Fit, np.ndarray | None, float | None, bool | None]:
+    signals: ControllerSignals, start: LawFit, flat: np.ndarray
+) -> tuple[ControllerSignals, LawFit, np.ndarray | None, float | None, bool | None]:
     """Fit the samples in which no limit acts; where it does, by the law that is found itself.
 
     Returns the signals that count, the fit, where the limit acts, the limit, and whether the integral holds there.
@@ -410,7 +412,7 @@ def _up_to_the_limit(
     limited, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
     if limit is None:
         return signals, fit(signals, start), None, None, True
-    best: tuple[Signals, Fit, np.ndarray, float, bool] | None = None
+    best: tuple[ControllerSignals, LawFit, np.ndarray, float, bool] | None = None
     for _ in range(LIMIT_ROUNDS):
         free = replace(signals, used=signals.used & ~limited)
         tried = [(fit(free, loose, limited), True)]
@@ -431,7 +433,7 @@ def _up_to_the_limit(
     return best
 
 
-def too_coarse(found: Found) -> float:
+def too_coarse(found: BestLaw) -> float:
     """The step of the reference where it hides what is fed forward, 0 where it does not."""
     signals, law = found.signals, found.fit
     step = 0.0 if signals.velocity_reference or not law.structure.feeds_forward else resolution(signals.reference)

@@ -28,8 +28,8 @@ from scipy.signal import lfilter
 from emps_design.identification.controller.regressors import (
     COLUMNS,
     STEP,
-    Signals,
-    Structure,
+    ControllerSignals,
+    LawStructure,
     Timing,
     at_step,
     regressors,
@@ -58,19 +58,19 @@ DIFFERENCE = 1e-6  # of a sought number
 
 
 @dataclass(frozen=True)
-class Filter:
+class CommandFilter:
     """One filter: ``kind`` "lowpass" (log frequency) or "notch" (log frequency, log damping, depth); in Hz."""
 
     kind: str
     numbers: tuple[float, ...]
 
     @classmethod
-    def lowpass(cls, frequency: float) -> Filter:
+    def lowpass(cls, frequency: float) -> CommandFilter:
         """The low-pass w0/(s + w0) of a ``frequency`` [Hz]."""
         return cls("lowpass", (float(np.log(frequency)),))
 
     @classmethod
-    def notch(cls, frequency: float, damping: float, depth: float) -> Filter:
+    def notch(cls, frequency: float, damping: float, depth: float) -> CommandFilter:
         """The notch of a ``frequency`` [Hz], a ``damping`` and a ``depth``, its gain at that frequency."""
         return cls("notch", (float(np.log(frequency)), float(np.log(damping)), float(depth)))
 
@@ -100,7 +100,7 @@ class Filter:
     def coefficients(self, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Numerator and denominator in z^-1.
 
-        >>> b, a = Filter.lowpass(100.0).coefficients(1e-3)
+        >>> b, a = CommandFilter.lowpass(100.0).coefficients(1e-3)
         >>> float((b.sum() / a.sum()).round(12))
         1.0
         """
@@ -115,9 +115,9 @@ class Filter:
     def slopes(self, period: float) -> list[tuple[np.ndarray, np.ndarray]]:
         """How numerator and denominator in z^-1 change with each sought number.
 
-        >>> low = Filter.lowpass(100.0)
+        >>> low = CommandFilter.lowpass(100.0)
         >>> (numerator, denominator), = low.slopes(1e-3)
-        >>> further = Filter("lowpass", (low.numbers[0] + 1e-6,)).coefficients(1e-3)
+        >>> further = CommandFilter("lowpass", (low.numbers[0] + 1e-6,)).coefficients(1e-3)
         >>> bool(np.allclose((further[1] - low.coefficients(1e-3)[1]) / 1e-6, denominator, rtol=1e-5))
         True
         """
@@ -140,16 +140,16 @@ def _bounds(kind: str, period: float) -> tuple[tuple[float, float], ...]:
     return (lowest, highest), (float(np.log(DAMPING[0])), float(np.log(DAMPING[1]))), DEPTH
 
 
-def moved(filters: tuple[Filter, ...], steps: np.ndarray, period: float) -> tuple[Filter, ...]:
+def moved(filters: tuple[CommandFilter, ...], steps: np.ndarray, period: float) -> tuple[CommandFilter, ...]:
     """The ``filters`` with their numbers changed by ``steps``, kept within what a filter can be at this ``period``."""
     left, done = iter(steps), []
     for one in filters:
         numbers = [min(max(x + next(left), low), high) for x, low, high in one.within(period)]
-        done.append(Filter(one.kind, tuple(map(float, numbers))))
+        done.append(CommandFilter(one.kind, tuple(map(float, numbers))))
     return tuple(done)
 
 
-def filtered(filters: tuple[Filter, ...], columns: np.ndarray, period: float) -> np.ndarray:
+def filtered(filters: tuple[CommandFilter, ...], columns: np.ndarray, period: float) -> np.ndarray:
     """``columns`` (n, ...) through the ``filters`` in order, which stood still at the first row before it."""
     first = columns[:1]
     rest = columns - first
@@ -158,27 +158,27 @@ def filtered(filters: tuple[Filter, ...], columns: np.ndarray, period: float) ->
     return rest + first
 
 
-def derivatives(filters: tuple[Filter, ...], x: np.ndarray, period: float) -> np.ndarray:
+def derivatives(filters: tuple[CommandFilter, ...], x: np.ndarray, period: float) -> np.ndarray:
     """How ``x`` (n,) behind the filters changes with each sought number, (n, n_numbers)."""
     columns = []
     for i, one in enumerate(filters):
         for j, number in enumerate(one.numbers):
             ends = []
             for step in (FILTER_STEP, -FILTER_STEP):
-                moved = Filter(one.kind, (*one.numbers[:j], number + step, *one.numbers[j + 1 :]))
+                moved = CommandFilter(one.kind, (*one.numbers[:j], number + step, *one.numbers[j + 1 :]))
                 ends.append(filtered((*filters[:i], moved, *filters[i + 1 :]), x, period))
             columns.append((ends[0] - ends[1]) / (2 * FILTER_STEP))
     return np.column_stack(columns) if columns else np.zeros((x.size, 0))
 
 
 @dataclass(frozen=True)
-class Fit:
+class LawFit:
     """A structure with its numbers: integral rate ``wi`` [1/s], ``linear`` coefficients, ``filters``; ``cost`` is the
     sum of squares that is left of ``samples``."""
 
-    structure: Structure
+    structure: LawStructure
     timing: Timing
-    filters: tuple[Filter, ...]
+    filters: tuple[CommandFilter, ...]
     wi: float
     linear: np.ndarray
     cost: float
@@ -232,7 +232,7 @@ class Compressed:
     samples: int
 
 
-def compress(signals: Signals, columns: np.ndarray, slopes: np.ndarray | None = None) -> Compressed:
+def compress(signals: ControllerSignals, columns: np.ndarray, slopes: np.ndarray | None = None) -> Compressed:
     """Take ``columns`` (n, len(COLUMNS)) behind the filters, and ``slopes`` (n, n_numbers), to a triangle."""
     slopes = np.zeros((len(signals), 0)) if slopes is None else slopes
     stacked = signals.counted(np.column_stack([columns, slopes, signals.command]))
@@ -249,7 +249,7 @@ def compress(signals: Signals, columns: np.ndarray, slopes: np.ndarray | None = 
 
 
 def solve(
-    c: Compressed, structure: Structure, period: float, within: tuple[float, float] | None = None
+    c: Compressed, structure: LawStructure, period: float, within: tuple[float, float] | None = None
 ) -> tuple[float, np.ndarray, np.ndarray, float]:
     """Best integral rate ``within`` bounds [1/s], linear coefficients, steps of the filters' numbers, squares left."""
     table = c.table * c.norms
@@ -293,24 +293,24 @@ def solve(
 
 
 def fit(
-    signals: Signals,
-    start: Fit,
+    signals: ControllerSignals,
+    start: LawFit,
     limited: np.ndarray | None = None,
     within: tuple[float, float] | None = None,
-) -> Fit:
+) -> LawFit:
     """Fit the structure of ``start``, from its filters on; the integral rate ``within`` bounds [1/s].
 
     ``limited`` (n,) says in which samples the limit acts, so that the integral part stands still.
     """
     period = signals.period
-    best: Fit | None = None
+    best: LawFit | None = None
     trial, timing, move, share = start.filters, start.timing, np.zeros(0), 1.0
     raw = regressors(signals, timing, limited)
     for _ in range(ROUNDS):
         columns = filtered(trial, raw, period)
         compressed = compress(signals, columns)
         wi, linear, _, cost = solve(compressed, start.structure, period, within)
-        now = Fit(start.structure, timing, trial, wi, linear, cost, compressed.samples)
+        now = LawFit(start.structure, timing, trial, wi, linear, cost, compressed.samples)
         if best is not None and not now.cost < best.cost:
             share *= SHORTER
             if share < SHORTEST or now.cost - best.cost < CONVERGED * best.cost:
@@ -332,7 +332,7 @@ def fit(
     return best
 
 
-def estimator_slope(signals: Signals, found: Fit, limited: np.ndarray | None) -> list[np.ndarray]:
+def estimator_slope(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> list[np.ndarray]:
     """How the command (n,) changes with the logarithm of the estimator's number; none where it has none to seek."""
     estimator, period = found.timing.velocity_estimator, signals.period
     if not (found.structure.velocity and sought(estimator)):
@@ -345,8 +345,8 @@ def estimator_slope(signals: Signals, found: Fit, limited: np.ndarray | None) ->
 
 
 def all_moved(
-    filters: tuple[Filter, ...], timing: Timing, steps: np.ndarray, period: float
-) -> tuple[tuple[Filter, ...], Timing]:
+    filters: tuple[CommandFilter, ...], timing: Timing, steps: np.ndarray, period: float
+) -> tuple[tuple[CommandFilter, ...], Timing]:
     """Filters and estimator with their numbers changed by ``steps``, the estimator's the last, if it is sought."""
     count = sum(len(one.numbers) for one in filters)
     if steps.size > count:
@@ -400,7 +400,7 @@ def robust_deviation(x: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(x - np.median(x))))
 
 
-def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.ndarray:
+def covariance(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> np.ndarray:
     """Covariance of the linear coefficients, the integral rate and the numbers of filters and estimator.
 
     Of least squares behind the whitening filter, so for noise that is correlated as the residual is. Irregular
@@ -431,7 +431,7 @@ def covariance(signals: Signals, found: Fit, limited: np.ndarray | None) -> np.n
 
 
 def with_deviations(
-    found: Fit, spread: np.ndarray, numbers: Callable[[Fit], dict[str, float]]
+    found: LawFit, spread: np.ndarray, numbers: Callable[[LawFit], dict[str, float]]
 ) -> dict[str, tuple[float, float]]:
     """Each of the ``numbers`` of a fit with its deviation, from the ``spread`` of :func:`covariance`."""
     values = numbers(found)
@@ -451,21 +451,21 @@ def with_deviations(
     return {name: (value, std) for (name, value), std in zip(values.items(), deviations, strict=True)}
 
 
-def _packed(found: Fit) -> np.ndarray:
+def _packed(found: LawFit) -> np.ndarray:
     rate = [found.wi] if found.structure.form else []
     estimator = found.timing.velocity_estimator
     own = [float(np.log(estimator.number))] if _is_sought(found) and not isinstance(estimator, str) else []
     return np.concatenate([found.linear, rate, *(one.numbers for one in found.filters), own])
 
 
-def _unpacked(found: Fit, x: np.ndarray) -> Fit:
+def _unpacked(found: LawFit, x: np.ndarray) -> LawFit:
     linear, rest = x[: found.linear.size], x[found.linear.size :]
     change: dict[str, Any] = {"linear": linear}
     if found.structure.form:
         change["wi"], rest = float(rest[0]), rest[1:]
     filters = []
     for one in found.filters:
-        filters.append(Filter(one.kind, tuple(rest[: len(one.numbers)].tolist())))
+        filters.append(CommandFilter(one.kind, tuple(rest[: len(one.numbers)].tolist())))
         rest = rest[len(one.numbers) :]
     estimator = found.timing.velocity_estimator
     if _is_sought(found) and not isinstance(estimator, str):
@@ -474,5 +474,5 @@ def _unpacked(found: Fit, x: np.ndarray) -> Fit:
     return replace(found, **change, filters=tuple(filters))
 
 
-def _is_sought(found: Fit) -> bool:
+def _is_sought(found: LawFit) -> bool:
     return found.structure.velocity and sought(found.timing.velocity_estimator)

@@ -20,14 +20,14 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.identification.controller.best_law import AS_GOOD, HOLDS, Found, best_law, too_coarse
-from emps_design.identification.controller.fit import Fit, covariance, robust_deviation, with_deviations
+from emps_design.identification.controller.best_law import AS_GOOD, HOLDS, BestLaw, best_law, too_coarse
+from emps_design.identification.controller.fit import LawFit, covariance, robust_deviation, with_deviations
 from emps_design.identification.controller.regressors import (
     AHEAD,
     ESTIMATORS,
     PROPORTIONAL,
     WHOLE_LOOPS,
-    Signals,
+    ControllerSignals,
     Timing,
     joined,
     regressors,
@@ -73,7 +73,7 @@ ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways
 IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
 
 
-def without_steps(signals: Signals) -> tuple[Signals, np.ndarray] | None:
+def without_steps(signals: ControllerSignals) -> tuple[ControllerSignals, np.ndarray] | None:
     """The signals with such steps taken off the command, and these (n,); None where there are none."""
     tables = [regressors(signals, Timing(velocity_estimator=name)) for name in ESTIMATORS]
     outlying = min((_outlying(signals, table) for table in tables), key=lambda pair: pair[0])[1]
@@ -91,7 +91,7 @@ def without_steps(signals: Signals) -> tuple[Signals, np.ndarray] | None:
     return replace(stretches, command=signals.command - steps), steps
 
 
-def _outlying(signals: Signals, table: np.ndarray) -> tuple[float, np.ndarray]:
+def _outlying(signals: ControllerSignals, table: np.ndarray) -> tuple[float, np.ndarray]:
     """Typical difference that a law without memory leaves, and the samples (n,) whose difference sticks out."""
     columns, target = np.diff(table, axis=0), np.diff(signals.command)
     scale = np.linalg.norm(columns, axis=0)
@@ -104,7 +104,7 @@ def _outlying(signals: Signals, table: np.ndarray) -> tuple[float, np.ndarray]:
     return robust_deviation(left[whole]), np.concatenate([[False], whole & ~kept])
 
 
-def _within(signals: Signals, table: np.ndarray) -> np.ndarray:
+def _within(signals: ControllerSignals, table: np.ndarray) -> np.ndarray:
     """What is left (n,) of the command by a law without filters, with a constant in each stretch."""
     columns, target = signals.counted(table), signals.counted(signals.command)
     scale = np.linalg.norm(columns, axis=0)
@@ -168,7 +168,7 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
     return unlike(told, [_identified([one], command_unit) for one in several])
 
 
-def signals_of(record: Record, there: np.ndarray | None = None) -> Signals | str:
+def signals_of(record: Record, there: np.ndarray | None = None) -> ControllerSignals | str:
     """What the controller of a record saw and gave, or why it cannot be told from that.
 
     ``there`` (n,) says which samples were recorded: behind one that was not the integral may have any value.
@@ -194,10 +194,10 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> Signals | str
     command = record.u if record.excitation is None else record.u - record.excitation
     reference = record.q_ref if velocity is None else velocity
     follows = velocity is not None
-    return Signals(reference, record.q, command, record.period, used, follows, record.f_ext, levels=levels)
+    return ControllerSignals(reference, record.q, command, record.period, used, follows, record.f_ext, levels=levels)
 
 
-def _of_its_velocity(signals: Signals, record: Record) -> Signals:
+def _of_its_velocity(signals: ControllerSignals, record: Record) -> ControllerSignals:
     """What a controller saw that follows the velocity reference of ``record`` and not its position reference."""
     assert record.velocity_reference is not None
     return replace(signals, reference=record.velocity_reference, velocity_reference=True)
@@ -244,7 +244,7 @@ def _alike(records: Sequence[Record]) -> list[Record]:
 def _report(
     several: Sequence[Record],
     unit: str,
-    found: Found,
+    found: BestLaw,
     steps: np.ndarray | None,
     parts: Sequence[np.ndarray],
     why: str = "",
@@ -322,7 +322,9 @@ def _report(
     )
 
 
-def _of_two_alike(found: Found, spread: Any, numbers: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+def _of_two_alike(
+    found: BestLaw, spread: Any, numbers: dict[str, tuple[float, float]]
+) -> dict[str, tuple[float, float]]:
     """``position.kp`` and ``velocity.ti`` with the deviations that a double root leaves them, where they may be one.
 
     With all of the reference's velocity they are the roots of a polynomial whose coefficients the record tells: roots
@@ -344,7 +346,7 @@ def _rounded(value: float, std: float) -> float:
     return float(f"{value:.{max(0, min(15, 2 - int(np.floor(np.log10(std)))))}f}") if std > 0.0 else value
 
 
-def _same_structure(one: Fit, other: Fit) -> bool:
+def _same_structure(one: LawFit, other: LawFit) -> bool:
     return one.structure == other.structure and one.timing == other.timing and len(one.filters) == len(other.filters)
 
 

@@ -145,7 +145,7 @@ def table_of(estimator: AnyEstimator, number: float | None = None) -> str | dict
 
 
 @dataclass(frozen=True)
-class Signals:
+class ControllerSignals:
     """What a controller saw and gave: ``reference``, ``position`` and ``command`` (n,), each ``period`` [s].
 
     The reference is a position [m or rad], or a velocity where ``velocity_reference``; ``force`` (n,) [N or N m] is
@@ -172,13 +172,13 @@ class Signals:
         return self.position.size
 
     @property
-    def first_level(self) -> Signals:
+    def first_level(self) -> ControllerSignals:
         """The first stretch of ``levels`` alone, up to the last sample of it that counts."""
         if self.levels is None:
             return self
         return self.part(slice(0, int(np.flatnonzero(self.used & (self.levels == self.levels[0]))[-1]) + 1))
 
-    def part(self, part: slice) -> Signals:
+    def part(self, part: slice) -> ControllerSignals:
         """A ``part`` of one stretch."""
         names = ("reference", "position", "command", "used", "force")
         there = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -217,13 +217,13 @@ class Timing:
         return rates + STRANGE_START * (self.phase > 0) + UNUSUAL * (not isinstance(self.velocity_estimator, str))
 
 
-def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
+def regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
     """The columns (n, len(COLUMNS)); ``limited`` (n,) says in which samples the limit acts.
 
     What a record cannot have (the error where the reference is a velocity, a force that was not measured) is 0.
 
     >>> ramp = np.arange(4.0)
-    >>> signals = Signals(ramp, 0.5 * ramp, ramp, 1.0, np.ones(4, bool))
+    >>> signals = ControllerSignals(ramp, 0.5 * ramp, ramp, 1.0, np.ones(4, bool))
     >>> regressors(signals, Timing(every=2))[:, :3].T.tolist()
     [[0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 2.0], [0.0, 0.5, 0.5, 0.5]]
     """
@@ -248,13 +248,15 @@ def regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = No
     return table
 
 
-def sampled_regressors(signals: Signals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
+def sampled_regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
     """The first :data:`SAMPLED` columns (n, SAMPLED) without delay: what the samples of a position loop change."""
     free = _free(len(signals), replace(timing, delay=0), limited)
     return np.column_stack(_of_the_position_loop(signals, timing, free))
 
 
-def _of_the_position_loop(signals: Signals, timing: Timing, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _of_the_position_loop(
+    signals: ControllerSignals, timing: Timing, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The error (n,) in the samples of the position loop, and its sum times the period."""
     if signals.velocity_reference:
         error = np.zeros(len(signals))
@@ -271,7 +273,7 @@ def _free(n: int, timing: Timing, limited: np.ndarray | None) -> np.ndarray:
     return free
 
 
-def joined(several: Sequence[Signals]) -> Signals:
+def joined(several: Sequence[ControllerSignals]) -> ControllerSignals:
     """Signals of one controller from several records, one after the other, each a level of its own.
 
     Each starts at the position where the one before ended, so that nothing jumps, and in a sample in which position
@@ -305,7 +307,7 @@ def estimated_velocity(q: np.ndarray, period: float, estimator: AnyEstimator) ->
     return (q - before) / (taps * period)
 
 
-def _of_the_profile(signals: Signals) -> tuple[np.ndarray, np.ndarray]:
+def _of_the_profile(signals: ControllerSignals) -> tuple[np.ndarray, np.ndarray]:
     """Velocity and acceleration (n,) that the generator of a position reference has at its samples.
 
     Of a polynomial of fourth degree through nine samples each: the steps in which a reference is recorded are smoothed.
@@ -330,7 +332,7 @@ def _held_sum(x: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Structure:
+class LawStructure:
     """The terms of a controller.
 
     ``form`` "pi" or "ip", or "" without integral; ``position`` whether a position loop is there; ``share`` of the
@@ -381,7 +383,7 @@ class Structure:
         return (velocity > 0.0 if self.velocity else True) & (part.get("position", 1.0) > 0.0)
 
     @property
-    def simpler(self) -> tuple[Structure, ...]:
+    def simpler(self) -> tuple[LawStructure, ...]:
         """The structures with one number less."""
         found = []
         if self.acceleration:
@@ -406,7 +408,7 @@ class Structure:
 
 
 @cache
-def _combinations(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+def _combinations(structure: LawStructure) -> tuple[np.ndarray, np.ndarray]:
     """The part of the combination that is the same for every ``wi``, and the one in proportion to it."""
     proportional = float(structure.form != "ip")
     constant = {
@@ -432,4 +434,4 @@ def _combinations(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     return tables[0], tables[1]
 
 
-PROPORTIONAL = Structure(form="", share=0, velocity=False, acceleration=False, coulomb=False)
+PROPORTIONAL = LawStructure(form="", share=0, velocity=False, acceleration=False, coulomb=False)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from emps_design.identification.controller.fit import Filter, moved
+from emps_design.identification.controller.fit import CommandFilter, moved
 from emps_design.identification.controller.regressors import (
     COLUMNS,
     DELAYS,
@@ -26,8 +26,8 @@ from emps_design.identification.controller.regressors import (
     PROPORTIONAL,
     SAMPLED,
     AnyEstimator,
-    Signals,
-    Structure,
+    ControllerSignals,
+    LawStructure,
     Timing,
     at_step,
     beside,
@@ -64,7 +64,7 @@ RATIOS, MOVES = (1.4, 1.1, 1.02), 4  # by which the number of an estimator moves
 
 
 @dataclass(frozen=True)
-class Spectra:
+class BandSpectra:
     """Cross spectra in bands about ``z`` (n_bands,) on the unit circle: ``regressors`` (n_bands, n_columns^2), real,
     ``answer`` (n_bands, n_columns), of the regressors with the command, ``power`` (n_bands,) of the command; ``counts``
     (n_bands,) frequencies in each; ``position`` (n_bands, n_columns) how regressors answer to the position."""
@@ -84,7 +84,7 @@ class Spectra:
         return np.stack([np.ones_like(self.z), 1.0 / self.z, self.z**-2])
 
 
-def transform(signals: Signals, columns: np.ndarray) -> np.ndarray:
+def transform(signals: ControllerSignals, columns: np.ndarray) -> np.ndarray:
     """Spectra (n_frequencies, n_columns) of ``columns`` (n, n_columns), without frequency 0, whitened."""
     columns = columns[int(np.argmax(signals.used)) :]
     n = next_fast_len(len(columns), real=True)
@@ -102,8 +102,8 @@ def bands(n: int) -> np.ndarray:
 
 
 def cross(
-    signals: Signals, values: np.ndarray, command: np.ndarray, timing: Timing, like: Spectra | None = None
-) -> Spectra:
+    signals: ControllerSignals, values: np.ndarray, command: np.ndarray, timing: Timing, like: BandSpectra | None = None
+) -> BandSpectra:
     """Cross spectra of ``values`` (n_frequencies, n_columns) among one another and with the ``command``'s.
 
     Those ``like`` them differ in the samples of the position loop alone, and so in few columns.
@@ -123,7 +123,7 @@ def cross(
     power = np.add.reduceat(np.abs(command) ** 2, edges)
     counts = np.diff(np.append(edges, len(values)))
     position = position_response(z, signals.period, timing, signals.velocity_reference)
-    return Spectra(z, both.reshape(len(edges), -1), answer, power, counts, position, samples, signals.period)
+    return BandSpectra(z, both.reshape(len(edges), -1), answer, power, counts, position, samples, signals.period)
 
 
 def position_response(z: np.ndarray, period: float, timing: Timing, velocity_reference: bool) -> np.ndarray:
@@ -135,7 +135,7 @@ def position_response(z: np.ndarray, period: float, timing: Timing, velocity_ref
     return np.stack([error, error * total, -rate, -rate * total, rate, rate * total, none, none, none, none], axis=1)
 
 
-def response(filters: tuple[Filter, ...], s: Spectra, delay: int) -> np.ndarray:
+def response(filters: tuple[CommandFilter, ...], s: BandSpectra, delay: int) -> np.ndarray:
     """Frequency response (n_bands,) of the filters and the delay."""
     total = s.z ** (-float(delay))
     for one in filters:
@@ -145,14 +145,14 @@ def response(filters: tuple[Filter, ...], s: Spectra, delay: int) -> np.ndarray:
     return total
 
 
-def normal(s: Spectra, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def normal(s: BandSpectra, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations of the regressors behind the responses ``h`` (..., n_bands)."""
     width = len(COLUMNS)
     return (np.abs(h) ** 2 @ s.regressors).reshape(*h.shape[:-1], width, width), (h.conj() @ s.answer).real
 
 
 def least(
-    s: Spectra, equations: tuple[np.ndarray, np.ndarray], structure: Structure, wi: np.ndarray
+    s: BandSpectra, equations: tuple[np.ndarray, np.ndarray], structure: LawStructure, wi: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squares left (m,) and linear coefficients (m, n_linear) at the integral rates ``wi`` (m,).
 
@@ -171,7 +171,7 @@ def least(
 
 
 def squares_and_slopes(
-    s: Spectra, filters: tuple[Filter, ...], delay: int, structure: Structure, wi: float
+    s: BandSpectra, filters: tuple[CommandFilter, ...], delay: int, structure: LawStructure, wi: float
 ) -> tuple[float, np.ndarray]:
     """Squares left, and their slopes (1 + n_numbers,) over the logarithm of ``wi`` and the numbers of the filters.
 
@@ -192,7 +192,7 @@ def squares_and_slopes(
     return float(squares[0]), 2.0 * np.array(slopes)
 
 
-def coloured(s: Spectra, h: np.ndarray, beta: np.ndarray) -> float:
+def coloured(s: BandSpectra, h: np.ndarray, beta: np.ndarray) -> float:
     """Squares left, weighed as for noise that is white on the recorded position instead of on the command.
 
     Rounded once more than the controller saw it, a position leaves such a residual, coloured by the law itself.
@@ -203,23 +203,23 @@ def coloured(s: Spectra, h: np.ndarray, beta: np.ndarray) -> float:
     return float(max(np.sum(np.maximum(left, 0.0) / shape), 1e-14 * s.power.sum()))
 
 
-def _explained(s: Spectra, beta: np.ndarray) -> np.ndarray:
+def _explained(s: BandSpectra, beta: np.ndarray) -> np.ndarray:
     """Power (n_bands,) of the regressors' combination ``beta`` (n_columns,), before any filter."""
     return s.regressors @ np.outer(beta, beta).ravel()
 
 
-def rates(s: Spectra) -> np.ndarray:
+def rates(s: BandSpectra) -> np.ndarray:
     """Integral rates to try [1/s]."""
     return np.geomspace(1e-3 / (s.samples * s.period), 0.3 / s.period, SCAN)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LawCandidate:
     """A structure with its timing and filters, the integral rate ``wi`` [1/s], and the squares that it leaves."""
 
-    structure: Structure
+    structure: LawStructure
     timing: Timing
-    filters: tuple[Filter, ...]
+    filters: tuple[CommandFilter, ...]
     wi: float
     cost: float
     coloured: float
@@ -250,13 +250,13 @@ class Candidate:
 class Spectrum:
     """The spectra of one record at every timing, each computed when first asked for."""
 
-    def __init__(self, signals: Signals, limited: np.ndarray | None = None) -> None:
+    def __init__(self, signals: ControllerSignals, limited: np.ndarray | None = None) -> None:
         self.signals, self.limited = signals, limited
         self.command = transform(signals, signals.command[:, None])[:, 0]
         self.fixed: dict[Timing, np.ndarray] = {}
-        self.known: dict[Timing, Spectra] = {}
+        self.known: dict[Timing, BandSpectra] = {}
 
-    def at(self, timing: Timing) -> Spectra:
+    def at(self, timing: Timing) -> BandSpectra:
         """The spectra of a timing; its delay does not matter."""
         timing = replace(timing, delay=0)
         if timing in self.known:
@@ -272,19 +272,19 @@ class Spectrum:
         return self.known[timing]
 
     @cached_property
-    def starts(self) -> tuple[tuple[list[Filter], np.ndarray], ...]:
+    def starts(self) -> tuple[tuple[list[CommandFilter], np.ndarray], ...]:
         """Low-passes and notches to start from, with their responses (n, n_bands), the same at any timing."""
         rate, s = 1.0 / self.signals.period, self.at(Timing())
-        lowpasses = [Filter.lowpass(share * rate) for share in LOWPASSES]
-        notches = [Filter.notch(share * rate, *rest) for share, *rest in NOTCHES]
+        lowpasses = [CommandFilter.lowpass(share * rate) for share in LOWPASSES]
+        notches = [CommandFilter.notch(share * rate, *rest) for share, *rest in NOTCHES]
         return tuple((some, np.stack([response((one,), s, 0) for one in some])) for some in (lowpasses, notches))
 
 
-def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidate]:
+def search(signals: ControllerSignals, limited: np.ndarray | None = None) -> list[LawCandidate]:
     """The best candidate for each form, delay and estimator, the best first."""
     spectrum = Spectrum(signals, limited)
     follows: dict[str, Any] = {"position": False, "share": 1} if signals.velocity_reference else {}
-    structures = [Structure(form=form, force=signals.force is not None, **follows) for form in ("pi", "ip")]
+    structures = [LawStructure(form=form, force=signals.force is not None, **follows) for form in ("pi", "ip")]
     if not signals.velocity_reference:
         structures += [replace(structures[1], position=False, share=1), PROPORTIONAL]
     timings = [Timing(1, 0, delay, name) for name in ESTIMATORS for delay in DELAYS]
@@ -304,9 +304,9 @@ def search(signals: Signals, limited: np.ndarray | None = None) -> list[Candidat
     return [_started_elsewhere(spectrum, best), *others]
 
 
-def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[Structure]) -> list[Candidate]:
+def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[LawStructure]) -> list[LawCandidate]:
     """The best candidates without filters, one of each kind of estimator that has a number."""
-    period, best = spectrum.signals.period, dict[str, Candidate]()
+    period, best = spectrum.signals.period, dict[str, LawCandidate]()
     pairs = [(one, delay) for one in structures if one.velocity for delay in DELAYS]
     for estimator in with_numbers(period):
         for structure, delay in pairs:
@@ -316,11 +316,11 @@ def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[Structure]) ->
     return [_refined(spectrum, one) for one in best.values()]
 
 
-def _refined(spectrum: Spectrum, now: Candidate) -> Candidate:
+def _refined(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
     """The candidate with the number of its estimator moved to where it is best, along a parabola at the end."""
     period = spectrum.signals.period
 
-    def with_(estimator: AnyEstimator) -> Candidate:
+    def with_(estimator: AnyEstimator) -> LawCandidate:
         timing = replace(now.timing, velocity_estimator=estimator)
         return candidate(spectrum.at(timing), now.structure, timing, now.filters, now.wi)
 
@@ -339,7 +339,7 @@ def _refined(spectrum: Spectrum, now: Candidate) -> Candidate:
     return now
 
 
-def _started_elsewhere(spectrum: Spectrum, now: Candidate) -> Candidate:
+def _started_elsewhere(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
     """The candidate with a position loop that starts in another sample of the record, where that is better."""
     if not now.structure.position:
         return now
@@ -348,7 +348,7 @@ def _started_elsewhere(spectrum: Spectrum, now: Candidate) -> Candidate:
     return min(now, polish(spectrum, timed), key=lambda c: c.criterion)
 
 
-def improve(spectrum: Spectrum, now: Candidate) -> Candidate:
+def improve(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
     """Choose the position loop's samples, then add or exchange a filter; the same candidate where nothing gains."""
     found = now
     if now.structure.position:
@@ -369,7 +369,9 @@ def improve(spectrum: Spectrum, now: Candidate) -> Candidate:
     return found if found.criterion < now.criterion - 1.0 else now
 
 
-def evaluate(spectrum: Spectrum, structure: Structure, timing: Timing, filters: tuple[Filter, ...]) -> Candidate:
+def evaluate(
+    spectrum: Spectrum, structure: LawStructure, timing: Timing, filters: tuple[CommandFilter, ...]
+) -> LawCandidate:
     """The candidate with these filters as they are, at its best integral rate."""
     s = spectrum.at(timing)
     tried = rates(s) if structure.form else np.zeros(1)
@@ -378,18 +380,20 @@ def evaluate(spectrum: Spectrum, structure: Structure, timing: Timing, filters: 
     return candidate(s, structure, timing, filters, float(tried[int(np.argmin(cost))]))
 
 
-def candidate(s: Spectra, structure: Structure, timing: Timing, filters: tuple[Filter, ...], wi: float) -> Candidate:
+def candidate(
+    s: BandSpectra, structure: LawStructure, timing: Timing, filters: tuple[CommandFilter, ...], wi: float
+) -> LawCandidate:
     """The candidate with these filters and this integral rate; one that would not stabilise explains nothing."""
     h = response(filters, s, timing.delay)
     cost, linear = least(s, normal(s, h), structure, np.array([wi]))
     power = float(s.power.sum())
     if not structure.stabilising(linear[0]):
-        return Candidate(structure, timing, filters, wi, power, power, s.samples)
+        return LawCandidate(structure, timing, filters, wi, power, power, s.samples)
     spread = coloured(s, h, structure.combination(wi) @ linear[0])
-    return Candidate(structure, timing, filters, wi, float(cost[0]), spread, s.samples)
+    return LawCandidate(structure, timing, filters, wi, float(cost[0]), spread, s.samples)
 
 
-def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidate:
+def polish(spectrum: Spectrum, start: LawCandidate, steps: int = STEPS) -> LawCandidate:
     """Improve integral rate and filters of a candidate together."""
     from scipy.optimize import minimize
 
@@ -400,7 +404,7 @@ def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidat
     if not np.any(bounds):
         return start
 
-    def numbers(x: np.ndarray) -> tuple[float, tuple[Filter, ...]]:
+    def numbers(x: np.ndarray) -> tuple[float, tuple[CommandFilter, ...]]:
         return start.wi * float(np.exp(x[0])), moved(start.filters, x[1:], s.period)
 
     def squares(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -416,7 +420,7 @@ def polish(spectrum: Spectrum, start: Candidate, steps: int = STEPS) -> Candidat
     return candidate(s, start.structure, start.timing, filters, wi)
 
 
-def one_more_filter(spectrum: Spectrum, now: Candidate) -> Candidate | None:
+def one_more_filter(spectrum: Spectrum, now: LawCandidate) -> LawCandidate | None:
     """The candidate with the one further filter that gains most, or None where none is worth its numbers."""
     if len(now.filters) == MOST_FILTERS:
         return None
@@ -428,13 +432,13 @@ def one_more_filter(spectrum: Spectrum, now: Candidate) -> Candidate | None:
 
 
 def best_starts(
-    spectrum: Spectrum, now: Candidate, more: list[Filter], responses: np.ndarray, most: int
-) -> list[Candidate]:
+    spectrum: Spectrum, now: LawCandidate, more: list[CommandFilter], responses: np.ndarray, most: int
+) -> list[LawCandidate]:
     """The candidate with one filter of ``more``, ``most`` of the best, the best first, each apart from those before."""
     s = spectrum.at(now.timing)
     h = response(now.filters, s, now.timing.delay)
     costs, _ = least(s, normal(s, h * responses), now.structure, np.full(len(more), now.wi))
-    found: list[Candidate] = []
+    found: list[LawCandidate] = []
     for i in np.argsort(costs, kind="stable"):
         if all(abs(more[i].numbers[0] - f.filters[-1].numbers[0]) > APART for f in found):
             found.append(replace(now, filters=(*now.filters, more[i]), cost=float(costs[i])))

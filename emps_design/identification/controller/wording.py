@@ -21,9 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.identification.controller.best_law import AS_GOOD, Found, command_of
-from emps_design.identification.controller.fit import Fit, covariance, fit, with_deviations
-from emps_design.identification.controller.regressors import Signals, regressors, sought, table_of as estimator_table
+from emps_design.identification.controller.best_law import AS_GOOD, BestLaw, command_of
+from emps_design.identification.controller.fit import LawFit, covariance, fit, with_deviations
+from emps_design.identification.controller.regressors import (
+    ControllerSignals,
+    regressors,
+    sought,
+    table_of as estimator_table,
+)
 from emps_design.laws import leaves
 from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
 from emps_design.records import Record
@@ -184,7 +189,7 @@ class Disagreement:
         return abs(self.one[0] - self.other[0]) / max(spread, 1e3 * ROUNDING * abs(self.one[0]), 1e-300)
 
 
-def times_allowed(found: Found) -> float:
+def times_allowed(found: BestLaw) -> float:
     """What the law leaves over what the record allows, rms over rms, at least 1 but for chance."""
     signals, law = found.signals, found.fit
     if signals.times is not None:
@@ -203,7 +208,7 @@ def times_allowed(found: Found) -> float:
     return float(np.sqrt(mean / allowed)) if allowed > 0.0 else 1.0
 
 
-def _seen(found: Found) -> np.ndarray:
+def _seen(found: BestLaw) -> np.ndarray:
     """What the controller saw (n, ...): the terms of a law with either source, increments of position and reference."""
     signals, timing = found.signals, found.fit.timing
     columns = [regressors(signals, replace(timing, profile=profile), found.held) for profile in (False, True)]
@@ -216,7 +221,7 @@ def _seen(found: Found) -> np.ndarray:
 
 
 def disagreement(
-    found: Found, parts: Sequence[np.ndarray], numbers: Callable[..., dict[str, float]]
+    found: BestLaw, parts: Sequence[np.ndarray], numbers: Callable[..., dict[str, float]]
 ) -> Disagreement | None:
     """The number that two of the ``parts`` (n,) of the samples tell most unlike; None where all agree."""
     told: list[tuple[int, Numbers]] = []
@@ -234,20 +239,20 @@ def disagreement(
     return worst
 
 
-def halves(signals: Signals) -> list[np.ndarray]:
+def halves(signals: ControllerSignals) -> list[np.ndarray]:
     """The first and the second half (n,) of the samples that count."""
     count = np.cumsum(signals.used)
     first = count <= count[-1] // 2
     return [first, ~first]
 
 
-def _numbers(part: Signals, found: Found, numbers: Callable[..., dict[str, float]]) -> Numbers:
+def _numbers(part: ControllerSignals, found: BestLaw, numbers: Callable[..., dict[str, float]]) -> Numbers:
     """The numbers of the law fitted to a part alone, with their deviations."""
     one = fit(part, found.fit, found.held)
     return with_deviations(one, covariance(part, one, found.held), numbers)
 
 
-def described(one: Fit, found: Found) -> dict[str, Any]:
+def described(one: LawFit, found: BestLaw) -> dict[str, Any]:
     """A structure that was compared, as plain data."""
     s, timing = one.structure, one.timing
     terms = [f"{s.form or 'p'} velocity loop" if s.velocity else "no velocity loop"]
@@ -278,7 +283,7 @@ def short(table: dict[str, Any]) -> str:
     return " ".join(part for part in [*parts, own] if part)
 
 
-def how_far_apart(close: Sequence[Fit], found: Found) -> str:
+def how_far_apart(close: Sequence[LawFit], found: BestLaw) -> str:
     """How far the nearest of the ``close`` laws is from the one given, and what would tell it."""
     apart = max(min(map(found.apart, close)), 1e-6)
     return (
@@ -287,7 +292,7 @@ def how_far_apart(close: Sequence[Fit], found: Found) -> str:
     )
 
 
-def notes_of(several: Sequence[Record], unit: str, found: Found, steps: np.ndarray | None) -> tuple[str, ...]:
+def notes_of(several: Sequence[Record], unit: str, found: BestLaw, steps: np.ndarray | None) -> tuple[str, ...]:
     """What the reader has to know and the table does not say."""
     timing, s = found.fit.timing, found.fit.structure
     notes = []
@@ -318,7 +323,7 @@ def notes_of(several: Sequence[Record], unit: str, found: Found, steps: np.ndarr
     return tuple(notes)
 
 
-def too_much_left(found: Found, times: float, unit: str) -> str:
+def too_much_left(found: BestLaw, times: float, unit: str) -> str:
     """Why a law is none although it leaves little: how close it came, and what is left."""
     left = f"{found.rms:.3g} {unit}".rstrip()
     return (
@@ -379,7 +384,7 @@ def _shown(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else "none" if value is None else str(value)
 
 
-def kind_of(found: Fit, velocity_reference: bool) -> str:
+def kind_of(found: LawFit, velocity_reference: bool) -> str:
     """Kind of the law in an axis file, "" where no law of the package has these terms."""
     s = found.structure
     plain = not (s.acceleration or s.coulomb or found.filters) and found.timing.every == 1
@@ -396,7 +401,7 @@ def kind_of(found: Fit, velocity_reference: bool) -> str:
     return "position_pd" if found.timing.velocity_estimator == "backward" and not s.force else "ip_velocity"
 
 
-def numbers_of(found: Fit, velocity_reference: bool) -> dict[str, float]:
+def numbers_of(found: LawFit, velocity_reference: bool) -> dict[str, float]:
     """The numbers of the law by their place in the table, such as "position.kp"."""
     kind, s = kind_of(found, velocity_reference), found.structure
     part = dict(zip(s.linear, map(float, found.linear), strict=True))
@@ -424,7 +429,7 @@ def numbers_of(found: Fit, velocity_reference: bool) -> dict[str, float]:
     return numbers
 
 
-def table_of(found: Fit, velocity_reference: bool, numbers: dict[str, float], holds: bool) -> dict[str, Any]:
+def table_of(found: LawFit, velocity_reference: bool, numbers: dict[str, float], holds: bool) -> dict[str, Any]:
     """The ``[controller]`` table with these ``numbers``; ``holds`` says that the integral holds at the limit."""
     kind = kind_of(found, velocity_reference)
     table: dict[str, Any] = {"kind": kind}
@@ -455,7 +460,7 @@ def table_of(found: Fit, velocity_reference: bool, numbers: dict[str, float], ho
     return table
 
 
-def deviations_of(found: Fit, stds: dict[str, float]) -> dict[str, Any]:
+def deviations_of(found: LawFit, stds: dict[str, float]) -> dict[str, Any]:
     """The deviations in the shape of the table."""
     table: dict[str, Any] = {}
     for name, std in stds.items():

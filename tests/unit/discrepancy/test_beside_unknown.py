@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from emps_design.discrepancy import beam_search, diagnose, rules, unknown_force, verdict
-from emps_design.discrepancy.confirmation import Asked
+from emps_design.discrepancy.confirmation import Share
 from emps_design.discrepancy.explanation import explain
 from emps_design.discrepancy.fit import evaluate, fit
 from emps_design.discrepancy.least_squares import Candidate
@@ -18,7 +18,7 @@ from emps_design.discrepancy.problem import Hypothesis, Problem
 from emps_design.discrepancy.records import seen_up_to, split
 from emps_design.discrepancy.starts import starts, tangent
 from emps_design.discrepancy.unknown_force import KINDS, beside_kind, beside_state, inertia, missing_force, with_kind
-from emps_design.discrepancy.verdict import Beside, _fitted_around
+from emps_design.discrepancy.verdict import BesideUnknown, _fitted_around
 from emps_design.effects import Motion, get_effect
 from emps_design.machines import machine
 from emps_design.progress import untold
@@ -86,7 +86,7 @@ def test_what_stands_is_fitted_from_the_baseline_that_was_found_beside_the_state
     # What a model leaves behind of which everything was withdrawn: no friction, and twice the mass.
     stands = evaluate(Hypothesis(problem(WEIGHT), Candidate(AXIS.mechanics.array() * [2.0, 0.0, 0.0, 1.0])))
     best = fit(stands.with_model(found.model), "used")
-    around = _fitted_around(stands, Beside(found, [Asked("mass_change", 1.0, 0.01, 1.0, exercised=True)], {}))
+    around = _fitted_around(stands, BesideUnknown(found, [Share("mass_change", 1.0, 0.01, 1.0, exercised=True)], {}))
     assert around.model.names == ("mass_change",)
     assert np.array_equal(around.model.values[0], found.model.values[0])
     assert around.cost < 1.2 * best.cost < fit(stands, "used").cost
@@ -342,9 +342,9 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
     ("names", "leaves", "explains"), [(("mass_change",), 1.2, True), (("mass_change",), 1.7, False), ((), 1.2, False)]
 )
 def test_what_is_left_counts_as_unknown_where_a_force_beside_effects_explains_half_of_it(names, leaves, explains):
-    asked = [Asked(name, 1.0, 0.01, 1.0, exercised=True) for name in names]
+    asked = [Share(name, 1.0, 0.01, 1.0, exercised=True) for name in names]
     found = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
-    force = Beside(found, asked, {}, kind="a memory", left=leaves)
+    force = BesideUnknown(found, asked, {}, kind="a memory", left=leaves)
     assert verdict._explains(force, left=1.8, floor=1.0) is explains
     assert not verdict._explains(None, left=1.8, floor=1.0)
 

@@ -10,7 +10,7 @@ import pytest
 from emps_design.discrepancy.acceptance import Judge
 from emps_design.discrepancy.beam_search import UNFINISHED
 from emps_design.discrepancy.calibration import Outcome
-from emps_design.discrepancy.confirmation import Asked, _size_known, asked_for, standing
+from emps_design.discrepancy.confirmation import Share, _size_known, asked_for, standing
 from emps_design.discrepancy.diagnose import NOT_REPEATED, _finer, _repeated
 from emps_design.discrepancy.fit import evaluate, fit
 from emps_design.discrepancy.least_squares import Candidate
@@ -121,8 +121,8 @@ def test_a_force_of_more_than_noise_is_left_however_white_it_looks(stiffness, mo
 
 
 def test_what_a_record_does_not_tell_is_not_confirmed():
-    assert Asked("end_stop", 1.0, 0.1, 1.0, exercised=False).confirmed is None
-    assert Asked("end_stop", 0.9, 0.01, 0.9, exercised=True).confirmed == {
+    assert Share("end_stop", 1.0, 0.1, 1.0, exercised=False).confirmed is None
+    assert Share("end_stop", 0.9, 0.01, 0.9, exercised=True).confirmed == {
         "share": 1.0,
         "std": pytest.approx(0.011, abs=1e-3),
     }
@@ -131,8 +131,8 @@ def test_what_a_record_does_not_tell_is_not_confirmed():
 def test_what_is_lost_in_the_bounces_of_play_does_not_stand_and_the_play_itself_does():
     for repeats, of_another, of_play in ((0.2, False, True), (0.9, True, True)):
         shares = dict(share=repeats, std=0.01, repeats=repeats, exercised=True)
-        assert Asked("external_force", **shares).stands is of_another
-        assert Asked("backlash", **shares, bounces=True).stands is of_play
+        assert Share("external_force", **shares).stands is of_another
+        assert Share("backlash", **shares, bounces=True).stands is of_play
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_what_is_lost_in_the_bounces_of_play_does_not_stand_and_the_play_itself_
     ],
 )
 def test_what_is_hardly_wanted_however_the_rest_is_weighed_is_neither_refuted_nor_kept(share, weighed, hardly):
-    asked = Asked("stribeck_friction", share, 0.04, 1.0, exercised=True, weighed=tuple(weighed))
+    asked = Share("stribeck_friction", share, 0.04, 1.0, exercised=True, weighed=tuple(weighed))
     assert (asked.refuted, asked.hardly_wanted) == (False, hardly)
     assert not replace(asked, exercised=False).hardly_wanted
 

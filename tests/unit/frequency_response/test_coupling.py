@@ -10,7 +10,7 @@ from emps_design.control.velocity.gains import PI
 from emps_design.control.velocity.load_range import loaded
 from emps_design.errors import InputError
 from emps_design.frequency_response import FrequencyResponse, estimate_response
-from emps_design.frequency_response.coupling import Comparison, MassChain, axis_response, fit_chain
+from emps_design.frequency_response.coupling import MassChain, ResponseComparison, axis_response, fit_chain
 from emps_design.frequency_response.response import has_wrong_sign
 from emps_design.frequency_response.retune import suggest_filter_on_response
 from emps_design.machines import machine
@@ -78,7 +78,7 @@ def test_a_record_gives_the_coupling_of_the_axis():
     assert document["coupling"]["masses"] == 2
     assert document["coupling"]["effect"]["kind"] == axis.effects[0].kind
     assert document["model"]["inside"] > 0.9 * document["model"]["lines"]
-    assert Comparison(found.response, rigid).agreement.bands
+    assert ResponseComparison(found.response, rigid).agreement.bands
 
 
 def test_a_rigid_axis_has_no_coupling():
@@ -181,7 +181,7 @@ def test_what_is_not_determined_has_no_deviation_that_is_no_number():
 def test_the_page_says_what_is_not_determined_and_what_speaks_against_the_masses():
     two = chain(2)
     response = FrequencyResponse.of(F, two.response(2.0 * np.pi * F), np.full(F.size, 0.02))
-    compared = Comparison(response, machine("emps2019"))
+    compared = ResponseComparison(response, machine("emps2019"))
     vague = np.diag([1e-4, 1e-4, 1e-4, 1e300, 1.0, 0.0])
     compared.__dict__["chain"] = replace(two, dampers=np.array([1e300]), covariance=vague, misfit=300.0)
     _, _, table, callout = response_blocks(compared)

@@ -10,9 +10,9 @@ import pytest
 from emps_design.cli.app import run
 from emps_design.errors import RecordError
 from emps_design.identification.controller import AMBIGUOUS, NOT_TOLD, TOLD, identify_law
-from emps_design.identification.controller.fit import Filter, Fit, covariance, fit, with_deviations
+from emps_design.identification.controller.fit import CommandFilter, LawFit, covariance, fit, with_deviations
 from emps_design.identification.controller.identify_law import signals_of
-from emps_design.identification.controller.regressors import Structure, Timing
+from emps_design.identification.controller.regressors import LawStructure, Timing
 from emps_design.identification.controller.wording import numbers_of
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -171,8 +171,8 @@ def test_deviations_hold_the_truth_as_often_as_they_say():
     rng = np.random.default_rng(5)
     true = {"position.kp": 20.0, "velocity.kp": 400.0, "velocity.ti": 0.03, "feedforward.velocity": 0.9}
     true |= {"filters.0.frequency": 150.0}
-    structure = Structure(acceleration=False, coulomb=False, offset=False)
-    start = Fit(structure, Timing(), (Filter.lowpass(140.0),), 0.0, np.zeros(0), 1.0, 1)
+    structure = LawStructure(acceleration=False, coulomb=False, offset=False)
+    start = LawFit(structure, Timing(), (CommandFilter.lowpass(140.0),), 0.0, np.zeros(0), 1.0, 1)
     within = dict.fromkeys(true, 0)
     for _ in range(200):
         record = Record.from_arrays(loop.period, r, q, clean + rng.normal(0.0, 0.03, clean.size))
@@ -203,8 +203,8 @@ def test_it_says_how_far_apart_two_rates_are_that_fit_alike(capsys, tmp_path):
     """Three deviations, by what the other rate leaves of the command without noise: too near, whatever the method."""
     loop = Loop(kp=20.0, every=2, kv=400.0, ti=0.03, share=0.9, noise=0.0, samples=4000)
     r, q, clean = loop.run()
-    structure = Structure(acceleration=False, coulomb=False, offset=False)
-    start = Fit(structure, Timing(every=1), (), 0.0, np.zeros(0), 1.0, 1)
+    structure = LawStructure(acceleration=False, coulomb=False, offset=False)
+    start = LawFit(structure, Timing(every=1), (), 0.0, np.zeros(0), 1.0, 1)
     left = np.sqrt(fit(signals_of(Record.from_arrays(loop.period, r, q, clean)), start).cost)
     noise = np.random.default_rng(1).normal(0.0, left / 3.0, clean.size)
     Record.from_arrays(loop.period, r, q, clean + noise).save(tmp_path / "weak.npz")

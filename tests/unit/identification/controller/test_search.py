@@ -5,7 +5,7 @@ import pytest
 
 from emps_design.identification.controller import best_law as module
 from emps_design.identification.controller.best_law import best_law
-from emps_design.identification.controller.regressors import PROPORTIONAL, Signals, Timing, regressors
+from emps_design.identification.controller.regressors import PROPORTIONAL, ControllerSignals, Timing, regressors
 from emps_design.identification.controller.search import Spectrum, best_starts, cross, evaluate, transform
 
 
@@ -16,7 +16,7 @@ def signals():
     q = 0.1 * np.sin(5.0 * t) + 1e-5 * np.cumsum(random.standard_normal(t.size))
     r = q + 0.02 * np.sin(8.0 * t) + 1e-4 * random.standard_normal(t.size)
     command = 100.0 * (r - q) + 0.02 * random.standard_normal(t.size)
-    return Signals(r, q, command, 1e-3, np.ones(t.size, bool))
+    return ControllerSignals(r, q, command, 1e-3, np.ones(t.size, bool))
 
 
 @pytest.mark.parametrize("limited", [None, slice(200, 300)])

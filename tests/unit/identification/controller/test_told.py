@@ -7,10 +7,10 @@ import pytest
 
 from emps_design.errors import InputError
 from emps_design.identification.controller import NOT_TOLD, TOLD, LawEstimate, identify_law
-from emps_design.identification.controller.best_law import Found
-from emps_design.identification.controller.fit import Fit, covariance, fit, with_deviations
+from emps_design.identification.controller.best_law import BestLaw
+from emps_design.identification.controller.fit import LawFit, covariance, fit, with_deviations
 from emps_design.identification.controller.identify_law import signals_of
-from emps_design.identification.controller.regressors import Structure, Timing, joined
+from emps_design.identification.controller.regressors import LawStructure, Timing, joined
 from emps_design.identification.controller.wording import (
     TIMES,
     disagreement,
@@ -26,7 +26,7 @@ from tests.unit.identification.controller.closed_loop import Loop
 
 SLOPE = Estimator(kind="slope", points=4)
 LOOP = Loop(kp=30.0, kv=300.0, estimator=("slope", 4), noise=0.02, samples=3000)
-PD = Structure(form="", share=0, acceleration=False, coulomb=False, offset=False)
+PD = LawStructure(form="", share=0, acceleration=False, coulomb=False, offset=False)
 
 
 def record_of(loop):
@@ -36,9 +36,9 @@ def record_of(loop):
 
 def found_with(signals, estimator="backward", structure=PD):
     """The law of a structure and an estimator, fitted, as a search would leave it."""
-    fitted = fit(signals, Fit(structure, Timing(velocity_estimator=estimator), (), 0.0, np.zeros(0), 1.0, 1))
+    fitted = fit(signals, LawFit(structure, Timing(velocity_estimator=estimator), (), 0.0, np.zeros(0), 1.0, 1))
     rms = (fitted.cost / fitted.samples) ** 0.5
-    return Found(signals, fitted, [], rms, rms / float(np.std(signals.command)), None, None, True)
+    return BestLaw(signals, fitted, [], rms, rms / float(np.std(signals.command)), None, None, True)
 
 
 def numbers(one):
