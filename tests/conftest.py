@@ -3,8 +3,10 @@
 Records: beside the repository, or in the folder EMPS_DESIGN_DATA names.
 """
 
+import ctypes
 import gc
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,8 @@ from hypothesis import HealthCheck, settings
 
 pytest_plugins = ["tests.costs"]
 REPOSITORY = Path(__file__).resolve().parents[1]
+GROWN = 50_000_000  # bytes, after which memory is collected
+kept = {"bytes": 0}  # after it was collected last
 DATA = Path(os.environ.get("EMPS_DESIGN_DATA", REPOSITORY.parent / "shared" / "data"))
 
 # As the command line has it: one thread of linear algebra in every worker, and in what it starts.
@@ -35,6 +39,23 @@ def _compiled_once(request, tmp_path_factory):
         folder = tmp_path_factory.getbasetemp().parent
         wait_for_each_other(folder)
         compile_apart(int(request.config.workerinput["workerid"].removeprefix("gw")), folder)
+
+
+def resident() -> int:
+    """Memory of this process [bytes]; 0 where the system does not say."""
+    pages = Path("/proc/self/statm")
+    return int(pages.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if pages.exists() else 0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory_given_back():
+    """What a file of tests leaves is collected once it is large: figures and models are circles of references."""
+    yield
+    if resident() > kept["bytes"] + GROWN:
+        gc.collect()
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)
+        kept["bytes"] = resident()
 
 
 @pytest.fixture

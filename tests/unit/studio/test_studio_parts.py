@@ -34,7 +34,7 @@ from emps_design.simulation.synthetic import synthetic_record, there_and_back
 from emps_design.studio import controls, files_view, panes
 from emps_design.studio.app import Session
 from emps_design.studio.compensation_view import DESIGN, OWN
-from emps_design.studio.data_view import CLOSEST_MODEL, LIMIT_MB, DataView, read_upload
+from emps_design.studio.data_view import CLOSEST_MODEL, LIMIT_MB, DataView, observe_work, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.files_view import figures_zip, report_html
 from emps_design.studio.panes import Job
@@ -840,3 +840,12 @@ def test_pictures_of_a_state_are_in_one_archive_with_the_same_bytes_each_time(mo
         names = archive.namelist()
         assert {"block_diagram.svg", "force_limit.svg", "force_loop.svg"} < set(names)
         assert archive.read("force_loop.svg") == b"<svg>force_loop</svg>"
+
+
+def test_a_force_that_is_observed_says_how_small_a_one_it_would_see():
+    said = []
+    record = synthetic_record(machine("emps2019"), laps=1, stroke=0.05)
+    shown = observe_work(record, machine("emps2019"), None, lambda *now: said.append(now))
+    assert shown["text"].startswith("Observed with emps2019: forces below ")
+    assert shown["advice"]
+    assert [share for _, share in said] == [0.2, 0.7]

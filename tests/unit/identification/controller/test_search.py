@@ -1,10 +1,13 @@
 """What a search sums once for many timings, and when it need not begin anew."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from emps_design.identification.controller import best_law as module
 from emps_design.identification.controller.best_law import best_law
+from emps_design.identification.controller.identify_law import without_steps
 from emps_design.identification.controller.regressors import PROPORTIONAL, ControllerSignals, Timing, regressors
 from emps_design.identification.controller.search import Spectrum, best_starts, cross, evaluate, transform
 
@@ -31,6 +34,16 @@ def test_spectra_of_a_slower_position_loop_are_those_summed_anew(signals, timing
     found = spectrum.at(timing)
     np.testing.assert_array_equal(found.regressors, whole.regressors)
     np.testing.assert_array_equal(found.answer, whole.answer)
+
+
+def test_steps_that_something_adds_to_the_command_are_taken_off(signals):
+    """A switch of 1 V, on for half a second; the law tells its height, and a constant over all is the law's own."""
+    switched = np.zeros(len(signals))
+    switched[1000:1500] = 1.0
+    assert without_steps(signals) is None
+    found, steps = without_steps(replace(signals, command=signals.command + switched))
+    np.testing.assert_allclose(steps - steps[0], switched, atol=0.02)
+    np.testing.assert_allclose(found.command, signals.command - steps[0], atol=0.02)
 
 
 def test_filters_to_start_from_are_the_best_and_apart(signals):
