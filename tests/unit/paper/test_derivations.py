@@ -33,6 +33,7 @@ def verdicts(steps):
     return {one.number: one.verdict for one in steps if one.number}
 
 
+@pytest.mark.slow("derives every equation")
 def test_every_claim_holds_and_every_step_says_what_it_assumes(steps):
     assert [one.title for one in steps if not one.holds] == []
     assert [one.title for one in steps if not one.assumes] == []
@@ -65,6 +66,7 @@ def test_the_law_stands_in_the_order_and_with_the_signs_of_the_paper():
     assert latex(y.W * y.X) == r"\mathbf{W} \mathbf{X}"
 
 
+@pytest.mark.slow("derives every equation again")
 def test_a_broken_print_is_seen(monkeypatch):
     """Any printed equation with a factor too many is not as printed any more; (3) to (5) are what others rest on."""
     broken = [number for number in EQUATIONS if number not in ("3", "4", "5")]

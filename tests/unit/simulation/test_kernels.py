@@ -104,6 +104,7 @@ EFFECT_FILE = """
 """
 
 
+@pytest.mark.slow("compiles in three processes")
 def test_editing_an_effects_file_renews_its_cache_and_no_other(tmp_path):
     """Same size, same second: only the content tells."""
     file = tmp_path / "mine.py"
