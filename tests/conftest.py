@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 
 pytest_plugins = ["tests.costs"]
 REPOSITORY = Path(__file__).resolve().parents[1]
-GROWN = 50_000_000  # bytes, after which memory is collected
+GROWN = 25_000_000  # bytes, after which memory is collected
 kept = {"bytes": 0}  # after it was collected last
 DATA = Path(os.environ.get("EMPS_DESIGN_DATA", REPOSITORY.parent / "shared" / "data"))
 
