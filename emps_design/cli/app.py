@@ -134,7 +134,10 @@ def _print_nowhere() -> None:
 
 
 def _application(arguments: list[str]) -> typer.Typer:
-    """The Typer application. Only the module of the command that runs is imported, unless help is asked for."""
+    """The Typer application. The module of the command that runs is imported, or all where there is none of that name.
+
+    None for an option of the whole, such as ``--help``: it has a sentence for each command at hand.
+    """
     import typer
     from typer.core import TyperGroup
 
@@ -169,7 +172,7 @@ def _application(arguments: list[str]) -> typer.Typer:
     )
     app.callback()(root)
     wanted = arguments[0] if arguments else ""
-    for name in (wanted,) if wanted in COMMANDS else COMMANDS:
+    for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
         module = importlib.import_module(f"emps_design.cli.{name}")
         about_an_axis = "axis" in inspect.signature(module.command).parameters
         described = app.command(name, help=module.__doc__, epilog=TURNING if about_an_axis else None)
