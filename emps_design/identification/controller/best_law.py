@@ -124,19 +124,14 @@ def choose(
     found, known = simplify(signals, fit(signals, start, limited), worth, limited), set()
     while True:
         others = rivals(signals, found, limited)
-        if not _filters_velocity(found):
+        if not found.seeks_estimator:
             enough = found.criterion - worth
-            others = [one for one in others if one.criterion < enough or not _filters_velocity(one)]
+            others = [one for one in others if one.criterion < enough or not one.seeks_estimator]
         # To leave a filter out may cost something: two laws could take turns.
         if not others or others[0].criterion >= found.criterion - 1e-6 or _shape(found) in known:
             return found, others
         known.add(_shape(found))
         found = simplify(signals, others[0], worth, limited)
-
-
-def _filters_velocity(found: LawFit) -> bool:
-    """Whether its velocity estimator has a number that is sought, as a filter has."""
-    return found.structure.velocity and sought(found.timing.velocity_estimator)
 
 
 def _shape(found: LawFit) -> tuple[object, ...]:
@@ -153,11 +148,11 @@ def simplify(signals: ControllerSignals, found: LawFit, worth: float, limited: n
         fewer = [(*found.filters[:i], *found.filters[i + 1 :]) for i in range(len(found.filters))]
         trials = [replace(found, structure=one) for one in found.structure.simpler]
         trials += [replace(found, filters=filters) for filters in fewer]
-        if _filters_velocity(found):
+        if found.seeks_estimator:
             named = [replace(found.timing, velocity_estimator=one) for one in ESTIMATORS]
             trials += [replace(found, timing=timing) for timing in named]
         for refit in _in_full(signals, trials, limited, found.criterion + NEARBY + worth):
-            less = len(refit.filters) < len(found.filters) or _filters_velocity(found) > _filters_velocity(refit)
+            less = len(refit.filters) < len(found.filters) or found.seeks_estimator > refit.seeks_estimator
             allowed = worth if less else 0.0
             if refit.criterion < found.criterion + allowed:
                 found = refit

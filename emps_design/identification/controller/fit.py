@@ -187,9 +187,12 @@ class LawFit:
     @property
     def size(self) -> int:
         """How many numbers were fitted."""
-        own = sum(len(f.numbers) for f in self.filters)
-        own += self.structure.velocity and sought(self.timing.velocity_estimator)
-        return self.structure.size + own
+        return self.structure.size + sum(len(f.numbers) for f in self.filters) + self.seeks_estimator
+
+    @property
+    def seeks_estimator(self) -> bool:
+        """Whether its velocity estimator has a number that is sought, as a filter has."""
+        return self.structure.velocity and sought(self.timing.velocity_estimator)
 
     @property
     def criterion(self) -> float:
@@ -454,7 +457,7 @@ def with_deviations(
 def _packed(found: LawFit) -> np.ndarray:
     rate = [found.wi] if found.structure.form else []
     estimator = found.timing.velocity_estimator
-    own = [float(np.log(estimator.number))] if _is_sought(found) and not isinstance(estimator, str) else []
+    own = [float(np.log(estimator.number))] if found.seeks_estimator and not isinstance(estimator, str) else []
     return np.concatenate([found.linear, rate, *(one.numbers for one in found.filters), own])
 
 
@@ -468,11 +471,7 @@ def _unpacked(found: LawFit, x: np.ndarray) -> LawFit:
         filters.append(CommandFilter(one.kind, tuple(rest[: len(one.numbers)].tolist())))
         rest = rest[len(one.numbers) :]
     estimator = found.timing.velocity_estimator
-    if _is_sought(found) and not isinstance(estimator, str):
+    if found.seeks_estimator and not isinstance(estimator, str):
         own = {"kind": estimator.kind, NUMBERS[estimator.kind]: float(np.exp(rest[0]))}
         change["timing"] = replace(found.timing, velocity_estimator=Estimator.model_validate(own))
     return replace(found, **change, filters=tuple(filters))
-
-
-def _is_sought(found: LawFit) -> bool:
-    return found.structure.velocity and sought(found.timing.velocity_estimator)
