@@ -9,7 +9,16 @@ import typer
 
 from emps_design.cli.destinations import AXIS, JSON, check_folder, make_folder
 from emps_design.cli.options import AsJson, AxisArgument, Force, refuse_force, refuse_ignored
-from emps_design.cli.output import add_advice, json_text, new_console, print_json, print_warnings, say, say_advice
+from emps_design.cli.output import (
+    add_advice,
+    json_text,
+    load_axis,
+    new_console,
+    print_json,
+    print_warnings,
+    say,
+    say_advice,
+)
 
 FILES = {"axis.toml": AXIS, "compensation.json": JSON}
 # The options that each scenario reads.
@@ -35,7 +44,6 @@ def command(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    from emps_design.cli.output import load_axis
     from emps_design.compensation import compensate
     from emps_design.errors import InputError, nearest_name
 

@@ -16,6 +16,7 @@ from emps_design.cli.options import refuse_force
 from emps_design.cli.output import (
     add_advice,
     json_text,
+    load_axis,
     new_console,
     print_json,
     print_warnings,
@@ -62,7 +63,6 @@ def command(
     force: Annotated[bool, typer.Option("--force", help=OVERWRITE)] = False,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> None:
-    from emps_design.cli.output import load_axis
     from emps_design.discrepancy import diagnose
     from emps_design.importing import import_record
 

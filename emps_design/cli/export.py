@@ -10,7 +10,7 @@ import typer
 
 from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
 from emps_design.cli.options import HERTZ, AsJson, AxisArgument, Force, refuse_ignored
-from emps_design.cli.output import print_json, print_warnings, say
+from emps_design.cli.output import load_axis, print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
 KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # what else is code
@@ -31,7 +31,6 @@ def command(
     force: Force = False,
     as_json: AsJson = False,
 ) -> None:
-    from emps_design.cli.output import load_axis
     from emps_design.codegen import export_controller, export_observer
     from emps_design.codegen.targets import OPERATIONS, origin_of
 

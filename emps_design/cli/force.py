@@ -35,7 +35,7 @@ from emps_design.cli.options import (
     within,
     write_axis,
 )
-from emps_design.cli.output import add_advice, print_json, say_advice, tell
+from emps_design.cli.output import add_advice, load_axis, print_json, say_advice, tell
 from emps_design.errors import InputError
 
 
@@ -73,7 +73,6 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.cli.output import load_axis
     from emps_design.control.force import design_force_loop
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
     from emps_design.control.velocity.gains import IP, own_filters, own_gains, own_structure

@@ -53,7 +53,7 @@ from emps_design.cli.options import (
     within,
     write_axis,
 )
-from emps_design.cli.output import add_advice, print_json, say_advice, tell
+from emps_design.cli.output import add_advice, load_axis, print_json, say_advice, tell
 from emps_design.errors import InputError
 from emps_design.files import read_bytes
 
@@ -109,7 +109,6 @@ def command(
     velocity_estimator: Estimator = None,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.cli.output import load_axis
     from emps_design.control.velocity.comparison import gains_document
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.specification import check_specification

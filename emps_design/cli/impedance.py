@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from emps_design.cli.options import RAD_S, refuse_ignored, within
-from emps_design.cli.output import add_advice, new_console, print_json, progress_bar, say_advice, tell
+from emps_design.cli.output import add_advice, load_axis, new_console, print_json, progress_bar, say_advice, tell
 from emps_design.errors import InputError
 
 
@@ -51,7 +51,6 @@ def command(
     workers: Annotated[int, typer.Option(min=1, max=256, help="threads; the numbers do not depend on it")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="one JSON document on standard output")] = False,
 ) -> int:
-    from emps_design.cli.output import load_axis
     from emps_design.comanipulation.assessment import assess_impedance
 
     if mismatch is None:

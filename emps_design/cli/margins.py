@@ -16,7 +16,7 @@ from emps_design.cli.options import (
     load_range_asked_for,
     within,
 )
-from emps_design.cli.output import add_advice, new_console, new_table, print_json, say_advice, tell
+from emps_design.cli.output import add_advice, load_axis, new_console, new_table, print_json, say_advice, tell
 
 
 def command(
@@ -30,7 +30,6 @@ def command(
     velocity: Velocity = 0.1,
     as_json: AsJson = False,
 ) -> int:
-    from emps_design.cli.output import load_axis
     from emps_design.control.controller import controller_margins
 
     span = load_range_asked_for(inertia_range, compliance_range, delay_range)

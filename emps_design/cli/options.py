@@ -28,7 +28,6 @@ from emps_design.laws.estimators import NUMBERS
 from emps_design.quantities import read_frequency, read_ratio
 
 if TYPE_CHECKING:
-    from emps_design.axis import Axis
     from emps_design.control.position import PositionLoopDesign
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.velocity.gains import Structure

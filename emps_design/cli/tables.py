@@ -411,7 +411,6 @@ def _cell(value: float | None, scale: float) -> str:
 def print_measured(measured: dict[str, Any], loop: str = "velocity loop") -> None:
     """Print what ``gains`` found on measured responses, ``document["measured"]``, for this ``loop``."""
     from rich import box
-    from rich.table import Table
 
     console = new_console()
     title = f"On the measured plant, {loop} at the plant input"

@@ -17,7 +17,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -45,11 +45,6 @@ from emps_design.errors import AxisError, EmpsError, InputError, UnstableError
 from emps_design.files import write_text, write_together
 from emps_design.laws.drives import drive_settings, gains_of
 from emps_design.simulation import Plant
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from emps_design.axis import Axis
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared")
 LONGEST = 300  # s, of a compilation

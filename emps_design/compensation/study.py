@@ -27,11 +27,10 @@ from emps_design.compensation.feedforward import (
 )
 from emps_design.control.nested_loops import nested_loops, worst_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
-from emps_design.laws import law_of
+from emps_design.laws import Law, law_of
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
-    from emps_design.laws import Law
 
 MISMATCH, PHASE_DEG = 0.02, 10.0  # errors of parameters and of phases
 ON_ERROR = "beside a feed-forward the law is given the position error alone: reference 0, position less the reference"

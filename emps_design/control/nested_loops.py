@@ -29,7 +29,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -54,9 +54,6 @@ from emps_design.control.margins import Margins, loop_margins
 from emps_design.control.sampled import SampledLoop, close, transfer
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
-
-if TYPE_CHECKING:
-    from emps_design.control.margins import Margins
 
 PLANT_INPUT, POSITION_ERROR = "plant input", "position error"
 VELOCITY_LOOP, WHOLE = "velocity loop", "whole loop"

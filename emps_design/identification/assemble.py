@@ -28,7 +28,7 @@ from emps_design.identification.model import FRICTION
 from emps_design.identification.problem import Regression
 from emps_design.identification.proposals import unexplained
 from emps_design.identification.result import Estimate, Identification
-from emps_design.identification.statistics import LongRun, hac_covariance, long_run
+from emps_design.identification.statistics import LongRun, hac_covariance, long_run, residual_bootstrap
 
 FACTORS = (0.5, 2.0)
 HIGHEST = 0.4  # of the sampling frequency, for a cut-off that is tried
@@ -353,7 +353,6 @@ def with_bootstrap(
     found: Identification, problem: Regression, fit: LeastSquares, draws: int, seed: int
 ) -> Identification:
     """``found`` with the deviations and intervals of a bootstrap that redraws the residual's noise ``draws`` times."""
-    from emps_design.identification.statistics import residual_bootstrap
 
     steps, away = problem.filtered.independent_rows
     rows = (problem.W[::steps], fit.residual[::steps] * away[::steps], away[::steps])

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -50,15 +50,11 @@ from emps_design.identification.result import (
     BY_OUTPUT_ERROR,
     Estimate,
     Identification,
+    More,
     Request,
 )
 from emps_design.laws import NONE
 from emps_design.records import Record
-
-if TYPE_CHECKING:
-    from typing import Unpack
-
-    from emps_design.identification.result import More
 
 MOST_NOISE = 0.5  # of a column's own power, that is taken for the encoder's noise
 

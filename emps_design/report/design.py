@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from emps_design.advice import Advice
-from emps_design.control.nested_loops import VELOCITY_LOOP, where_in_words
+from emps_design.control.nested_loops import VELOCITY_LOOP, NestedLoop, where_in_words
 from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, sentence_of, symbol
 from emps_design.report.page import (
     Callout,
@@ -28,7 +28,6 @@ from emps_design.report.velocity import drive_section, force_section, gains_sect
 if TYPE_CHECKING:
     from emps_design.control.force import ForceLoopDesign
     from emps_design.control.margins import Margins
-    from emps_design.control.nested_loops import NestedLoop
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.verdict import DesignVerdict
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, look, subplots
+from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, WIDTH, look, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +69,6 @@ def _label(axes: Axes, x: float, y: float, text: str, **options: Any) -> None:
 
 
 def _canvas(width: float, height: float) -> tuple[Figure, Axes]:
-    from emps_design.report.style import WIDTH
 
     figure, axes = subplots(height=WIDTH * height / width)
     axes.set(xlim=(0, width), ylim=(0, height))

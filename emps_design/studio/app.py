@@ -23,7 +23,7 @@ from emps_design.axis import Axis
 from emps_design.machines import machine, machine_names
 from emps_design.records import Record
 from emps_design.studio.design_view import DesignView
-from emps_design.studio.files_view import velocity_design
+from emps_design.studio.files_view import FilesView, velocity_design
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
@@ -176,7 +176,6 @@ class Session:
     def __init__(self, axis: Axis, record: Record | None = None):
         from emps_design.studio.compensation_view import CompensationView
         from emps_design.studio.data_view import DataView
-        from emps_design.studio.files_view import FilesView
         from emps_design.studio.motion_view import MotionView
         from emps_design.studio.simulation_view import SimulationView
 

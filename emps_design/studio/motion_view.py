@@ -28,7 +28,6 @@ from emps_design.studio.state import FEEDFORWARDS, State
 if TYPE_CHECKING:
     from emps_design.axis import Axis
     from emps_design.control.position import PositionLoopDesign
-    from emps_design.records import Record
     from emps_design.simulation.scenarios import Followed
 
 DESIGN, OWN = "this design", "the axis's own controller"

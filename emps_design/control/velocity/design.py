@@ -38,10 +38,14 @@ from emps_design.control.velocity.sampled import LaggedVelocityLoop, SampledVelo
 from emps_design.control.velocity.specification import (
     Pairs,
     check_specification,
+    effects_in_words,
+    ideal_loop_in_words,
     infeasible,
+    law_in_words,
     nearest_that_works,
     pairs_by_closed_form,
     proposal_in_words,
+    room_in_words,
 )
 from emps_design.laws import LawKind
 from emps_design.laws.estimators import estimator_response, polynomials
@@ -286,12 +290,6 @@ class VelocityLoopDesign:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a reader of the numbers has to know, instability first."""
-        from emps_design.control.velocity.specification import (
-            effects_in_words,
-            ideal_loop_in_words,
-            law_in_words,
-            room_in_words,
-        )
 
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)

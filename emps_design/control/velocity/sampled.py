@@ -31,7 +31,7 @@ from emps_design.control.discretisation import SampledPlant, frequencies_around,
 from emps_design.control.linear_plant import POSITION, LinearPlant, linear_plant
 from emps_design.control.margins import Margins, further_down, loop_margins
 from emps_design.control.sampled import OUTPUTS, SampledLoop, close, transfer
-from emps_design.control.velocity.gains import IP, Structure
+from emps_design.control.velocity.gains import IP, MINUS_3_DB, Structure
 from emps_design.laws import LawKind
 from emps_design.laws.estimators import BACKWARD, continuous, estimator_in_words
 from emps_design.laws.law import TWO_TAP, LawTable
@@ -196,7 +196,6 @@ class SampledVelocityLoop:
         """First frequency where the velocity estimate has fallen to -3 dB [rad/s]; None if unstable."""
         if not self.stable:
             return None
-        from emps_design.control.velocity.gains import MINUS_3_DB
 
         grid = self.plant.frequencies()
         if abs(self.closed_loop_response(grid[:1])[0]) < MINUS_3_DB:
