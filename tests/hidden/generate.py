@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.hidden.drives import (
+    ALIKE,
     AMPLITUDES,
     EFFECTS,
     PAIRS,
@@ -32,8 +33,10 @@ FORCE_NOISE = 0.35  # N for a 95 kg axis
 NOISE_BAND = 40.0  # Hz
 MOST_DRAWS = 500  # of a drive that is stable with what is hidden in it
 SEEN = 0.75  # of the floor, from which on an effect's own share of the gap can be asked for
-SETS = ("quick", "all", "several", "beside", "unknown", "small", "healthy")
+SETS = ("quick", "all", "several", "crowded", "beside", "unknown", "small", "healthy")
+AT_LIMIT = (0.1, 0.33)  # share of the samples of a crowded drive that its motor spends at a limit nobody wrote down
 SMALL = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)  # of size 1
+CROWDED = -1
 SKIP = 50  # samples at the start that no error counts
 QUICK = (
     ("stribeck_friction",),
@@ -51,7 +54,10 @@ QUICK = (
 
 @dataclass(frozen=True)
 class Case:
-    """Effects by name, which of the two sizes (0: drawn for each), and the ``share`` of that size."""
+    """Effects by name, which of the two sizes (0: drawn for each), and the ``share`` of that size.
+
+    Size ``CROWDED``: drawn for each, the limit of a motor so that it spends a share of ``AT_LIMIT`` there.
+    """
 
     effects: tuple[str, ...]
     size: int
@@ -75,11 +81,19 @@ def cases(which: str, count: int = 8, seed: int = 0) -> list[Case]:
 
 
 def _drawn(which: str, number: int, rng: np.random.Generator) -> Case:
-    """Case ``number`` of a set that goes on: three or four effects, one beside unknown physics, a small one ..."""
+    """Case ``number`` of a set that goes on: three or four effects, one beside unknown physics, a small one ...
+
+    In a crowded one a motor at its limit, or play, is in company of two or three others.
+    """
     plain = tuple(name for name in EFFECTS if name != "controller_disturbance")  # that one is seen in the law alone
     strange = UNKNOWN[number % len(UNKNOWN)]
     if which == "several":
         return Case(draw_several(rng, 3 + number % 2, plain), 0, number)
+    if which == "crowded":
+        first = ("actuator_saturation", "backlash")[number // 2 % 2]
+        others = draw_several(rng, len(plain), plain)
+        fit = [name for name in others if name != first and not any({name, first} <= alike for alike in ALIKE)]
+        return Case((first, *fit[: 2 + number % 2]), CROWDED, number)
     if which == "beside":
         return Case((*draw_several(rng, 1, plain), strange), 0, number)
     if which == "unknown":
@@ -160,6 +174,20 @@ def own_gap(drive: Drive, q_ref: np.ndarray, u: np.ndarray, hidden: dict[str, fl
     return float(drive.gain * np.std(missed - design @ np.linalg.lstsq(design, missed, rcond=None)[0]))
 
 
+def biting_limit(drive: Drive, q_ref: np.ndarray, hidden: dict[str, float], share: float) -> float:
+    """The limit [V] at which the motor of a plant with ``hidden`` effects spends ``share`` of its samples (bisection).
+
+    A motor at its limit falls behind and is asked for more: a quantile of the free command would bite too hard.
+    """
+    low, high = 0.0, drive.limit
+    for _ in range(12):
+        limit = 0.5 * (low + high)
+        u = run(drive, q_ref, numbers(**{**hidden, "clip": limit}))[1]
+        bites = float(np.mean(np.abs(u[SKIP:]) >= limit)) > share or not np.all(np.isfinite(u))
+        low, high = (limit, high) if bites else (low, limit)
+    return high
+
+
 def misfit(drive: Drive, u: np.ndarray, other: np.ndarray) -> float:
     """Rms difference of two voltages as a force [N]."""
     return float(drive.gain * np.std((u - other)[SKIP:]))
@@ -207,7 +235,7 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
         clean = [run(drive, ref, healthy)[1] for ref in (train_ref, hold_ref)]
         hidden, truth, own = {}, {}, {}
         for name in case.effects:
-            size = case.size or int(rng.integers(1, 3))
+            size = case.size if case.size > 0 else int(rng.integers(1, 3))
             values, words = draw_effect(name, rng, drive, size, float(np.abs(clean[0][SKIP:]).max()))
             if name in AMPLITUDES:
                 inside, outside = AMPLITUDES[name]
@@ -216,12 +244,17 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
             hidden.update(values)
             truth.update(words)
             own[name] = values
+        if case.size == CROWDED and "clip" in hidden:
+            hidden["clip"] = own["actuator_saturation"]["clip"] = truth["actuator_saturation"]["limit"] = biting_limit(
+                drive, train_ref, hidden, float(rng.uniform(*AT_LIMIT))
+            )
         plant = numbers(**hidden)
         records = [run(drive, ref, plant, rng) for ref in (train_ref, hold_ref)]
         limited = max(float(np.mean(np.abs(u) > 0.99 * drive.limit)) for _, u in records)
         perfect = [run(drive, ref, plant)[1] for ref in (train_ref, hold_ref)]
         floors = [misfit(drive, u, other) for (_, u), other in zip(records, perfect, strict=True)]
-        if limited < 1e-3 and max(floors) < 0.2 * drive.coulomb:
+        most = AT_LIMIT[1] if "clip" in hidden and case.size == CROWDED else 1e-3
+        if limited <= most and max(floors) < 0.2 * drive.coulomb:
             break
     else:
         raise RuntimeError(f"{case.name}: no stable drive in {MOST_DRAWS} draws")
