@@ -72,11 +72,23 @@ def in_symbols(q: sympy.Symbol, p: Parameters, repeats: str = "period") -> sympy
 def periods(motion: Motion, residual: np.ndarray, away: np.ndarray, columns: guesses.Waves) -> list[dict[str, float]]:
     """Starts for a ``period``: where ``columns`` explain most of ``residual`` (n,) [N] on the samples ``away``.
 
-    The shortest that is tried is in proportion to the stroke.
+    The shortest that is tried is in proportion to the stroke, and no shorter than the record can tell.
     """
-    shortest = SHORTEST * stroke_size(motion.q)
+    shortest = max(SHORTEST * stroke_size(motion.q), shortest_told(motion))
     found = guesses.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest)
     return [{"period": period} for period in found]
+
+
+def shortest_told(motion: Motion) -> float:
+    """The shortest period of travel [m] that a record tells: sampled twice a period along half of the travel, or more.
+
+    >>> t = np.arange(0.0, 1.0, 0.01)
+    >>> shortest_told(Motion(t, 0.1 * t, 0.1 + 0.0 * t, 0.0 * t, 0.0 * t, 0.01))
+    0.002
+    """
+    speed = np.sort(np.abs(motion.v))
+    travel = np.cumsum(speed)
+    return float(2.0 * motion.period * speed[np.searchsorted(travel, 0.5 * travel[-1])])
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
