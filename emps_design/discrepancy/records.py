@@ -26,7 +26,7 @@ from emps_design.laws import NONE, law_of
 from emps_design.laws.library import position_pd
 from emps_design.observer import motor_force
 from emps_design.records import Record
-from emps_design.simulation.run import driven_by
+from emps_design.simulation.run import commands_of, driven_by
 
 IN_BAND = 0.9  # of the power of a command
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
@@ -151,7 +151,7 @@ def seen_up_to(record: Record) -> float:
 def _commands(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
     """What the law of ``axis`` would ask for (n,) along the positions ``q`` (n,) [m], in units of the command."""
     law = law_of(axis, record.period, record.extra)
-    return law.commands(law.followed(record), q, np.inf, record.f_ext)
+    return commands_of(law, law.followed(record), q, np.inf, record.f_ext)
 
 
 def missing_while_off(axis: Axis, record: Record, wanted: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -18,9 +18,11 @@ from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.files import write_aside
 from emps_design.laws import NONE, law_of
+from emps_design.laws.law import Law
 from emps_design.notebook import table
 from emps_design.records import Record
 from emps_design.records.columns import PLAIN, RECORD
+from emps_design.simulation.kernels.compile import address, cached, call_law, pointer, shifted
 from emps_design.units import Units
 
 # name: (label, unit) of every signal of a run
@@ -66,6 +68,35 @@ def driven_by(axis: Axis, record: Record) -> dict[str, Any]:
         return how
     law = law_of(axis, record.period, record.extra)
     return {**how, "law": law, "reference": law.followed(record)}
+
+
+def commands_of(
+    law: Law, reference: np.ndarray, q: np.ndarray, limit: float, f_ext: np.ndarray | None = None
+) -> np.ndarray:
+    """What ``law`` gives (n,) for what it follows, the position and the sensed force (n,), from rest, compiled.
+
+    >>> from emps_design.laws import law_of
+    >>> from emps_design.machines import machine
+    >>> law, t = law_of(machine("emps2019"), 1e-3), np.arange(0.0, 1.0, 1e-3)
+    >>> np.array_equal(commands_of(law, t, 0.9 * t, 10.0), law.commands(t, 0.9 * t, 10.0))
+    True
+    """
+    sensed = np.zeros(q.size) if f_ext is None else np.asarray(f_ext, dtype=float)
+    if law.error_alone:
+        reference, q = np.zeros(q.size), q - reference
+    gains = np.ascontiguousarray(np.atleast_2d(np.asarray(law.gains, dtype=float)))
+    given = (np.ascontiguousarray(reference, dtype=float), np.ascontiguousarray(q, dtype=float), sensed, float(limit))
+    out = np.empty(q.size)
+    _along(address(law.kernel, "law"), *given, gains, np.zeros(max(law.memory, 1)), out)
+    return out
+
+
+@cached()
+def _along(law, reference, q, sensed, limit, gains, memory, out):  # type: ignore[no-untyped-def]
+    """Fill ``out`` (n,) with what the law at address ``law`` asks for, with gains by sample where they have rows."""
+    rows, memory_, stride = pointer(gains), pointer(memory), gains.shape[1] * int(gains.shape[0] > 1)
+    for k in range(q.size):
+        out[k] = call_law(law, k, reference[k], q[k], sensed[k], limit, shifted(rows, k * stride), memory_)
 
 
 @dataclass(frozen=True, eq=False)
