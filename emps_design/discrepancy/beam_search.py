@@ -117,30 +117,51 @@ def _reshaped(best: Fit, rest: Fit) -> Fit:
     return rest
 
 
-def begun(calibration: Calibration, progress: Progress, most: int) -> Outcome:
+def begun(calibration: Calibration, progress: Progress, most: int, before: Outcome | None = None) -> Outcome:
     """Extend the baseline of ``calibration`` up to ``most`` effects, while its judge accepts the best admissible one.
 
-    What was found so :func:`finished` may still change. An interrupt from the keyboard ends either where it is.
+    After a search ``before``, under other noise, its model is extended instead, where that is accepted. What was found
+    so :func:`finished` may still change. An interrupt from the keyboard ends either where it is.
     """
     baseline = calibration.baseline
     outcome = Outcome(calibration, (baseline,), {set_of(baseline): baseline}, {}, warnings=calibration.warnings)
-    return until_interrupted(outcome, lambda path: _extend(outcome, path, progress, most))
+
+    def extend(path: list[Fit]) -> None:
+        if before is not None and before.best.model.names != baseline.model.names:
+            _remember(outcome.tried, _fitted_again(baseline, before))
+            again = outcome.tried.get(set_of(before.best))
+            if again is not None and calibration.judge.accepts(again, baseline):
+                outcome.alone.update({found[0].model.names[-1]: found[0].gain for found in calibration.screened})
+                path.append(again)
+        _extend(outcome, path, progress, most)
+
+    return until_interrupted(outcome, extend)
 
 
-def finished(
-    outcome: Outcome, progress: Progress, before: Candidate | None = None, most: int = MOST_EFFECTS
-) -> Outcome:
-    """A search that was :func:`begun`, gone on with up to ``most`` effects until nothing is accepted any more.
+def _fitted_again(baseline: Fit, before: Outcome) -> list[Fit]:
+    """What a search ``before`` found, and what it tried next to that, fitted under the noise of ``baseline``.
 
-    A model that was found ``before``, under other noise, is gone on from where the search leaves more than it.
+    Next to it are the models on the way, each effect alone, and another effect in the place of one.
     """
+    names, first = set_of(before.best), len(set_of(baseline))
+    near = [
+        fitted
+        for key, fitted in before.tried.items()
+        if len(key) == first + 1 or key < names or (len(key) == len(names) == len(key & names) + 1)
+    ]
+    best = converged(fit(baseline.with_model(before.best.model)))
+    return [best, *filter(admissible, side_by_side(fit, [(baseline.with_model(one.model),) for one in near]))]
+
+
+def finished(outcome: Outcome, progress: Progress, most: int = MOST_EFFECTS) -> Outcome:
+    """A search that was :func:`begun`, gone on with up to ``most`` effects until nothing is accepted any more."""
     if outcome.interrupted:
         return outcome
 
     def to_the_end(path: list[Fit]) -> None:
         if _found(outcome.calibration, path[-1]) >= A_FEW:
             _extend(outcome, path, progress, most)
-        _go_on(outcome, path, progress, before, most)
+        _go_on(outcome, path, progress, most)
         path[-1] = freed(path[-1])
         _remember(outcome.tried, _rivals(path, outcome.tried))
 
@@ -163,7 +184,7 @@ def until_interrupted(outcome: Outcome, goes_on: Callable[[list[Fit]], None]) ->
     return replace(outcome, path=tuple(path), warnings=warnings, interrupted=interrupted)
 
 
-def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candidate | None, most: int) -> None:
+def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, most: int) -> None:
     """Prune the last model of ``path``, exchange its effects and extend it again, until nothing leaves less."""
     calibration, tried = outcome.calibration, outcome.tried
     known, accepts = calibration.baseline.model.names, calibration.judge.accepts
@@ -171,8 +192,7 @@ def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, before: Candid
     for _ in range(PASSES):
         path += pruned(path[-1], known, tried, accepts)
         better = (
-            _found_before(before, path[-1], tried)
-            or _exchanged(calibration, path[-1], tried, progress)
+            _exchanged(calibration, path[-1], tried, progress)
             or _pair(calibration, path[-1], tried, progress)
             or _far_behind(calibration, path[-1], tried, progress)
             or _curve(calibration, path[-1], tried, progress, most)
@@ -391,7 +411,7 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Outcome
     Looked for where there are data to confirm it, beside the baseline and beside the effect found first: a motor at its
     limit, or a stop, hides of which kind the rest is.
     """
-    outcome, found = begun(calibration, progress, A_FEW), list[OfAKind]()
+    outcome, found = begun(calibration, progress, A_FEW, before), list[OfAKind]()
 
     def look(path: list[Fit]) -> None:
         progress("whether it is an unknown force of one kind", 0.6)
@@ -400,8 +420,7 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Outcome
     confirmed = calibration.preparation.held_out is not None
     if confirmed and not outcome.interrupted and calibration.judge.leaves_structure(outcome.best):
         outcome = replace(until_interrupted(outcome, look), of_a_kind=found[0] if found else None)
-    model = None if before is None else before.best.model
-    return finished(outcome, progress, model) if outcome.of_a_kind is None else outcome
+    return finished(outcome, progress) if outcome.of_a_kind is None else outcome
 
 
 def past_the_kind(outcome: Outcome, progress: Progress) -> Outcome:
