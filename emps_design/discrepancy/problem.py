@@ -17,7 +17,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Whitening
-from emps_design.discrepancy.records import Recorded, Split, drive, followed, missing_while_off
+from emps_design.discrepancy.records import START_UP, Recorded, Split, drive, followed, missing_while_off
 from emps_design.effects.effect import MASS
 from emps_design.laws import law_of
 from emps_design.records import Record
@@ -25,6 +25,7 @@ from emps_design.simulation import Plant, Run
 
 MOST = 128e6  # bytes of residuals that are kept, those asked for last
 
+OPEN_LOOP = ("disturbance", "q0", "supply", "enable")  # of what drives a record, all but the law and what it follows
 LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
 RANK = 1e-6  # of the largest singular value of several functions, below which a combination is none
 
@@ -233,6 +234,22 @@ class Hypothesis:
         """Simulations of all records, with ``disturbance`` (n,) [N] per record on the carriage."""
         pushes = disturbance or (None,) * len(self.problem.records)
         return tuple(self.run(record, push) for record, push in enumerate(pushes))
+
+    def free_run_error(self) -> float:
+        """Rms [m/s] by which the velocity misses the recorded one where the recorded command alone drives the model.
+
+        In the band in which a model that follows its record is compared. Raises :class:`SimulationError` where the
+        motion has no bound.
+        """
+        problem, missed = self.problem, []
+        for number, (record, band_hz) in enumerate(zip(problem.records, problem.recorded.bands, strict=True)):
+            plant = Plant(problem.axis, list(zip(self.model.effects, self.model.parameters(number), strict=True)))
+            how = {key: value for key, value in problem.recorded.starts[number].items() if key in OPEN_LOOP}
+            run = plant.open_loop(
+                record.u, period=record.period, baseline=self.model.baseline, quantise=False, tolerance=LOOSE, **how
+            )
+            missed.append(followed(np.gradient(record.q - run.q, record.period), record, band_hz)[START_UP:])
+        return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))
 
     def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         """Measured minus simulated motor force [N], one array (n,) per record, under ``disturbance`` as in `runs`.

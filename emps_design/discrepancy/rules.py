@@ -69,6 +69,7 @@ BETTER_PROPOSAL = 0.98  # of the cost: a proposal for what belongs to a record m
 BETTER_FIT = 0.995  # the same for the fit that follows
 
 # The verdict
+FREE_RUN = 1.1  # times the baseline's velocity error, driven by the command alone, beyond which a model is refuted
 EXPLAINED = 0.8  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
 QUIET = 1.5  # times the noise, in force: of all of a record, held out or not, up to which nothing may be missing
 COMPLETE = 0.97  # of the excess: a model that explains more leaves nothing to name, whatever its structure

@@ -65,7 +65,14 @@ def warnings(validation: Validation) -> list[str]:
         remarks += _of_holdout(validation, preparation.held_out)
     for index, effect in enumerate(validation.extended.model.effects):
         remarks += [f"{effect.label}: {text}" for text in begun_earlier(validation, index)]
-    if validation.given_up:
+    if validation.in_free_run:
+        before, after = map(rounded, validation.in_free_run)
+        labels = ", ".join(inside(get_effect(kind_of(name)).label) for name in validation.given_up)
+        remarks.append(
+            f"a model with {labels} follows the record, but driven by the recorded command alone it misses the "
+            f"velocity by {after} m/s rms, more than the {before} m/s without: it does not stand"
+        )
+    elif validation.given_up:
         labels = ", ".join(inside(get_effect(kind_of(name)).label) for name in validation.given_up)
         remarks.append(
             f"a model with {labels} explains {100 * validation.share:.0f} % of the gap, and does not stand: too little "

@@ -176,6 +176,7 @@ class Validation:
     that could stand in its place; ``refuted`` is what the held-out data withdrew; ``given_up`` are the effects of a
     model that explained ``share`` of the gap and did not stand; ``kind``, one of ``unknown_force.KINDS``, says what the
     rest is like, where that is known, and ``kind_leaves`` [N] what would be left with an unknown force of that kind.
+    ``in_free_run`` are the velocity errors [m/s] of baseline and ``given_up`` effects where those refute the effects.
     """
 
     outcome: Outcome
@@ -191,6 +192,7 @@ class Validation:
     share: float
     kind: str = ""
     kind_leaves: float = math.inf
+    in_free_run: tuple[float, float] | None = None
 
     @property
     def training_is_quiet(self) -> bool:
@@ -245,6 +247,9 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
     answer, share, left_over = _all_or_nothing(outcome, data, start, searched, force)
     if left_over or outcome.ended_early:
         answer = _effect_by_effect(outcome, data, searched, answer, force)
+    in_free_run = _refuted_in_free_run(start, answer)
+    if in_free_run is not None:
+        answer = replace(answer, verdict="unnamed", given_up=answer.extended.model.names)
     if answer.verdict == "unnamed":
         estimate = robust(answer.baseline)
         answer = replace(answer, baseline=estimate, extended=estimate, asked=[], held_out=None)
@@ -265,7 +270,26 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
         share=share,
         kind=answer.kind,
         kind_leaves=answer.kind_leaves,
+        in_free_run=in_free_run,
     )
+
+
+def _refuted_in_free_run(start: Fit, answer: _Answer) -> tuple[float, float] | None:
+    """Velocity errors [m/s] of the baseline and the extended model driven by the command alone, where those refute it.
+
+    A model that is made to follow its record is judged by the force that takes, and an effect can take the place of
+    another in that force alone: a dead zone that of a load on a spring. Moving freely it leads elsewhere. Both by least
+    squares, ``start`` the baseline. What the sensor adds moves nothing, and a motion without bound tells nothing.
+    """
+    effects = answer.extended.model.effects
+    if not answer.extended.problem.follows or answer.verdict == "unnamed" or not effects:
+        return None
+    if all(effect.channel == "sensor" for effect in effects):
+        return None
+    with suppress(SimulationError):
+        before, after = start.free_run_error(), fit(answer.extended, "used").free_run_error()
+        return (before, after) if after > rules.FREE_RUN * before else None
+    return None
 
 
 def _all_or_nothing(

@@ -15,8 +15,10 @@ from emps_design.discrepancy.diagnose import NOT_REPEATED, _finer, _repeated
 from emps_design.discrepancy.fit import evaluate, fit
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import LAPS, Whitening, floor_of_laps, floor_of_residual, rms_interval
+from emps_design.discrepancy.preparation import prepare
 from emps_design.discrepancy.problem import Hypothesis, Problem
 from emps_design.discrepancy.records import split
+from emps_design.discrepancy.verdict import _refuted_in_free_run
 from emps_design.effects import get_effect
 from emps_design.effects.guesses import pulses
 from emps_design.machines import machine
@@ -259,3 +261,27 @@ def test_an_interrupt_of_a_later_search_says_what_was_left_undone(monkeypatch, i
     assert kept.path == first.path
     assert kept.warnings == (NOT_REPEATED, UNFINISHED)[: 1 + unfinished]
     assert kept.interrupted is unfinished
+
+
+SPRUNG = {"kind": "flexible_coupling", "frequency": 3.0, "damping": 0.01, "share": 0.6}
+
+
+@pytest.mark.parametrize(("hidden", "refuted"), [(SPRUNG, True), ({"kind": "actuator_deadzone", "width": 0.5}, False)])
+def test_a_dead_zone_that_stands_in_for_a_load_on_a_spring_is_refuted_by_the_free_run(hidden, refuted):
+    """Square waves of one size: a dead zone nearly as wide leaves no force to miss, and moves elsewhere."""
+    numbers, drive = (
+        {"mass": 0.92, "viscous": 9.0, "coulomb": 0.3, "offset": 0.0},
+        {"force_gain": 1.0, "voltage_limit": 10.0},
+    )
+    motor = AXIS.replace(controller={"kind": "none"}, mechanics=numbers, drive=drive)
+    u = 1.5 * np.where(np.floor(np.arange(4001) * 1e-3) % 2 == 0, -1.0, 1.0)
+    run = Plant.of(motor.replace(effects=[hidden])).open_loop(u)
+    record = Record(t=run.t, q_ref=run.q, q=run.q, u=u, period=1e-3, name="square")
+    dead_zone = get_effect("actuator_deadzone")
+    start = fit(prepare((record,), motor, (dead_zone,), None, None, None).start)
+    extended = fit(start.with_model(start.model.with_effect(dead_zone, np.array([[0.8]]))))
+    errors = _refuted_in_free_run(start, SimpleNamespace(verdict="named", extended=extended))
+    assert (errors is not None) is refuted
+    if refuted:
+        assert extended.cost < 1e-2 * start.cost  # [N^2], the force that follows the record
+        assert errors[0] == start.free_run_error() < errors[1]
