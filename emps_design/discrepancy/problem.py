@@ -17,7 +17,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Whitening
-from emps_design.discrepancy.records import START_UP, Recorded, Split, drive, followed, missing_while_off
+from emps_design.discrepancy.records import START_UP, Recorded, Split, drive, followed
 from emps_design.effects.effect import MASS
 from emps_design.laws import law_of
 from emps_design.records import Record
@@ -130,7 +130,8 @@ class Problem:
 
     def whiten(self, forces: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
         """Innovations of ``forces`` [N], (n,) or (n, k) per record in units of noise, less what ``states`` follow."""
-        innovations = tuple(np.apply_along_axis(self.whitening.apply, 0, force) for force in forces)
+        apply = self.whitening.apply
+        innovations = tuple(apply(f) if f.ndim == 1 else np.apply_along_axis(apply, 0, f) for f in forces)
         if self.loudness:
             innovations = tuple((x.T / loud).T for x, loud in zip(innovations, self.loudness, strict=True))
         if not self.states:
@@ -266,10 +267,8 @@ class Hypothesis:
     def _residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         problem, recorded = self.problem, self.problem.recorded
         left = tuple(
-            force - run.force + (0.0 if asked is None else missing_while_off(problem.axis, record, asked, run.q))
-            for force, record, asked, run in zip(
-                recorded.forces, problem.records, recorded.asked, self.runs(disturbance), strict=True
-            )
+            recorded.forces[number] - run.force + recorded.missing_while_off(number, run.q)
+            for number, run in enumerate(self.runs(disturbance))
         )
         return problem.compared(left)
 

@@ -22,7 +22,7 @@ from emps_design.axis import Axis
 from emps_design.effects import Motion
 from emps_design.effects.sizes import TURN
 from emps_design.identification.filters import low_pass, motion
-from emps_design.laws import NONE, law_of
+from emps_design.laws import NONE
 from emps_design.laws.library import position_pd
 from emps_design.observer import motor_force
 from emps_design.records import Record
@@ -122,10 +122,23 @@ class Recorded:
     def asked(self) -> tuple[np.ndarray | None, ...]:
         """What the law asks for (n,) along every record in which the motor is switched off, None of the others."""
         off = [not self.follows and record.enable is not None and not record.enable.all() for record in self.records]
-        return tuple(
-            _commands(self.axis, record, record.q) if one else None
-            for record, one in zip(self.records, off, strict=True)
-        )
+        return tuple(self.commands(i, record.q) if off[i] else None for i, record in enumerate(self.records))
+
+    def commands(self, number: int, q: np.ndarray) -> np.ndarray:
+        """What the law of record ``number`` would ask for (n,) along the positions ``q`` (n,) [m], without a limit."""
+        start = self.starts[number]
+        return commands_of(start["law"], start["reference"], q, np.inf, self.records[number].f_ext)
+
+    def missing_while_off(self, number: int, q: np.ndarray) -> np.ndarray | float:
+        """What the law would ask for along record ``number``, less what it would along ``q`` (n,) [N].
+
+        0 while the motor is on.
+        """
+        asked, record = self.asked[number], self.records[number]
+        if asked is None:
+            return 0.0
+        more = motor_force(self.axis, replace(record, u=asked - self.commands(number, q), enable=None))
+        return np.where(record.enable == 0.0, more, 0.0)
 
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
@@ -146,18 +159,6 @@ def seen_up_to(record: Record) -> float:
     size = np.var(motion(record, CUTOFF_HZ).a)
     most = (5.0 * NOISY**2 * size / max(density, 1e-300)) ** 0.2
     return float(np.clip(most, CUTOFF_HZ, fastest))
-
-
-def _commands(axis: Axis, record: Record, q: np.ndarray) -> np.ndarray:
-    """What the law of ``axis`` would ask for (n,) along the positions ``q`` (n,) [m], in units of the command."""
-    law = law_of(axis, record.period, record.extra)
-    return commands_of(law, law.followed(record), q, np.inf, record.f_ext)
-
-
-def missing_while_off(axis: Axis, record: Record, wanted: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """What the law ``wanted`` along ``record``, less what it would along ``q`` (n,) [N]; 0 while the motor is on."""
-    more = motor_force(axis, replace(record, u=wanted - _commands(axis, record, q), enable=None))
-    return np.where(record.enable == 0.0, more, 0.0)
 
 
 @dataclass(frozen=True)
