@@ -1,13 +1,11 @@
-"""Put statistics beside a fit, and say which parameters the record does not determine.
+"""Turn a fit into an identification: statistics, intervals, undetermined parameters, plausibility.
 
-What the cut-off does to an estimate: the same at half and at twice of it.
+Sensitivity to the cut-off: the same estimate at half and at twice the cut-off. Encoder noise, a delay that the model
+lacks and rests that the filter smears all move the estimate with the cut-off, which residual statistics at a single
+cut-off cannot show. The estimates share most of their noise, so the variance of their difference is the difference of
+their variances (J. A. Hausman, 1978); any change beyond that is added to the interval.
 
-Noise of the encoder, a delay that the model lacks, rests that the filter spreads: each moves the estimate with the
-cut-off, and no statistics of the residual at one cut-off see it. The estimates share most of their noise, so that the
-variance of what they differ by is the difference of their variances (J. A. Hausman, 1978); what is beyond that is
-added to the interval.
-
-Is what was identified possible, is it like the axis, and if not, what probably happened.
+Plausibility: whether the parameters are physically possible and close to the axis file, and if not, the likely cause.
 """
 
 from __future__ import annotations
@@ -32,13 +30,13 @@ from emps_design.identification.statistics import LongRun, hac_covariance, long_
 
 FACTORS = (0.5, 2.0)
 HIGHEST = 0.4  # of the sampling frequency, for a cut-off that is tried
-CHANCE = 2.0  # deviations by which two estimates of one thing may differ
+CHANCE = 2.0  # deviations by which two estimates of the same parameter may differ
 NEGLIGIBLE = 1e-3  # of the value
-ALIKE = 0.5  # of a deviation, of what two estimates differ by that have the same
+ALIKE = 0.5  # of the deviation: least deviation of the difference between two estimates
 
 FAR = {"mass": 3.0, "viscous": 10.0, "coulomb": 10.0}  # times the axis's value, or a part of it
 DECADES = 0.15  # decades by which a power of ten may be missed
-# What a wrong unit of a column does to mass, viscous and Coulomb friction, in powers of its factor.
+# Effect of a wrong unit of a column on mass, viscous and Coulomb friction: exponents of its factor.
 UNITS = {
     "u (or the force gain)": (1, 1, 1),
     "q (and q_ref)": (-1, -1, 0),
@@ -46,14 +44,14 @@ UNITS = {
 }
 SOUGHT = tuple(FAR)
 
-LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)  # s by which a loop may follow its reference late
-MAY_BE_ZERO = ("constant_force", ANGLE.name, "viscous_difference")  # on a machine with nothing wrong
-OPEN = 0.5  # of the force: what may be nothing and may be as much is not determined
-LARGEST_NEAR_GAPS = 0.5  # share of what tells a friction parameter apart that may lie beside a rest
+LAGS = (0.0, 0.005, 0.01, 0.02, 0.04)  # s by which a loop may lag its reference
+MAY_BE_ZERO = ("constant_force", ANGLE.name, "viscous_difference")  # on a machine without fault
+OPEN = 0.5  # of the force: a parameter whose interval spans zero and this much is not determined
+LARGEST_NEAR_GAPS = 0.5  # share of a friction parameter's information that may lie beside a rest
 
 
 class Estimated(NamedTuple):
-    """Parameters (p,), their deviations (p,), and what the encoder's noise is known to take from them (p,)."""
+    """Parameters (p,), their deviations (p,), and their known bias by encoder noise (p,)."""
 
     value: np.ndarray
     std: np.ndarray
@@ -62,9 +60,9 @@ class Estimated(NamedTuple):
 
 @dataclass(frozen=True)
 class CutoffSensitivity:
-    """The parameters ``value`` (p,) at other ``cutoffs`` (tried,) [Hz]: ``tried`` (tried, p).
+    """The parameters ``value`` (p,), and ``tried`` (tried, p) at other ``cutoffs`` (tried,) [Hz].
 
-    ``beyond_chance`` (p,) is how far they moved, less what chance and known noise do.
+    ``beyond_chance`` (p,) is the change less what chance and known encoder noise explain.
     """
 
     names: tuple[str, ...]
@@ -75,7 +73,7 @@ class CutoffSensitivity:
 
     @property
     def relative(self) -> dict[str, float | None]:
-        """The contract's ``cutoff_sensitivity``: the largest change over the value; None of nothing."""
+        """The contract's ``cutoff_sensitivity``: the largest change over the value; None where the value is 0."""
         largest = np.max(np.abs(self.tried - self.value), axis=0, initial=0.0)
         pairs = zip(self.names, largest.tolist(), np.abs(self.value).tolist(), strict=True)
         return {name: change / value if value > 0.0 else None for name, change, value in pairs}
@@ -94,14 +92,14 @@ def cutoff_sensitivity(
 ) -> CutoffSensitivity:
     """Estimate again at half and twice the ``cutoff`` [Hz], where the record, sampled with ``period`` [s], allows it.
 
-    At twice of it noise is much more, and what it is known to do there says nothing; at half of it there is hardly any:
-    what the estimate is known to be off by is believed as far as that one allows.
+    At twice the cut-off encoder noise is much larger, so the change that it explains does not count. At half the
+    cut-off there is hardly any noise: the known bias of ``own`` counts only as far as that estimate confirms it.
 
     >>> own = Estimated(np.array([2.0]), np.array([0.1]))
     >>> def estimate(cutoff):
     ...     return Estimated(np.array([2.0 - 0.01 * cutoff]), np.array([0.1]))
-    >>> found = cutoff_sensitivity(("mass",), own, 10.0, 1e-3, estimate)
-    >>> round(found.relative["mass"], 6), found.beyond_chance.round(3).tolist()
+    >>> sensitivity = cutoff_sensitivity(("mass",), own, 10.0, 1e-3, estimate)
+    >>> round(sensitivity.relative["mass"], 6), sensitivity.beyond_chance.round(3).tolist()
     (0.1, [0.173])
     """
     cutoffs, tried = [], []
@@ -112,17 +110,17 @@ def cutoff_sensitivity(
         if factor > 1.0 and other < 1.2 * cutoff:
             continue
         try:
-            found = estimate(other)
+            moved_estimate = estimate(other)
         except (RecordError, RankError, InputError, np.linalg.LinAlgError):
             continue  # too little of the record is away from rest at that cut-off
         cutoffs.append(other)
-        tried.append(found.value)
-        shift = found.value - own.value
-        chance = CHANCE * np.maximum(np.sqrt(np.abs(found.std**2 - own.std**2)), ALIKE * own.std)
+        tried.append(moved_estimate.value)
+        shift = moved_estimate.value - own.value
+        chance = CHANCE * np.maximum(np.sqrt(np.abs(moved_estimate.std**2 - own.std**2)), ALIKE * own.std)
         if factor < 1.0:
             most_known = np.minimum(most_known, np.abs(shift) + chance)
         else:
-            expected = own.known - found.known
+            expected = own.known - moved_estimate.known
             shift = shift - np.clip(shift, np.minimum(expected, 0.0), np.maximum(expected, 0.0))
         moved = np.maximum(moved, np.sqrt(np.maximum(shift**2 - chance**2, 0.0)))
     moved = np.maximum(moved, most_known)
@@ -131,7 +129,7 @@ def cutoff_sensitivity(
 
 
 def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
-    """One line for what cannot be, or is far from ``axis``, and what it looks like; nothing for a plausible result.
+    """A message where parameters are impossible or far from ``axis``, with the likely cause; [] for plausible ones.
 
     ``values`` are identified parameters by name, SI; of two directions the mean counts.
 
@@ -144,16 +142,16 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
     >>> implausible({"mass": 0.095, "viscous": 0.2, "coulomb": 20.0}, axis)[0].split("; ")[1]
     'this is what q (and q_ref) in another unit gives, 1000 times too large: look at the unit of that column'
     """
-    found = {name: value for name in SOUGHT if (value := _mean(values, name)) is not None}
-    negative = [name for name, value in found.items() if value < 0]
+    identified = {name: value for name in SOUGHT if (value := _mean(values, name)) is not None}
+    negative = [name for name, value in identified.items() if value < 0]
     if negative:
-        return [f"no axis has {_listed(found, negative)}: {_why_negative(found, negative)}"]
-    own = {name: float(getattr(axis.mechanics, name)) for name in found}
-    shares = {name: value / own[name] for name, value in found.items() if own[name] > 0 and value > 0}
+        return [f"no axis has {_listed(identified, negative)}: {_why_negative(identified, negative)}"]
+    own = {name: float(getattr(axis.mechanics, name)) for name in identified}
+    shares = {name: value / own[name] for name, value in identified.items() if own[name] > 0 and value > 0}
     far = [name for name, share in shares.items() if not 1.0 / FAR[name] < share < FAR[name]]
     if not far:
         return []
-    beside = ", ".join(f"{_one(name, found[name])} where {axis.name} says {own[name]:.4g}" for name in far)
+    beside = ", ".join(f"{_one(name, identified[name])} where {axis.name} says {own[name]:.4g}" for name in far)
     unit = _unit(shares)
     if unit is None:
         why = "another machine or payload, a wrong force gain, or a wrong unit: look at force_gain and the columns"
@@ -170,8 +168,8 @@ def _mean(values: Mapping[str, float], name: str) -> float | None:
     return sum(own) / len(own) if own else None
 
 
-def _why_negative(found: Mapping[str, float], negative: list[str]) -> str:
-    if "mass" in negative and all(found[name] < 0 for name in found):
+def _why_negative(identified: Mapping[str, float], negative: list[str]) -> str:
+    if "mass" in negative and all(identified[name] < 0 for name in identified):
         return "the sign of u is probably flipped against q; turn one of the two columns round"
     if "mass" in negative:
         return "u and q probably do not belong together: look at the sign of u, the columns and their clock"
@@ -179,21 +177,21 @@ def _why_negative(found: Mapping[str, float], negative: list[str]) -> str:
 
 
 def _unit(shares: Mapping[str, float]) -> tuple[str, float] | None:
-    """The column, and the factor by which it is too large, that explains ``shares`` of the axis's values."""
+    """The column with a wrong unit, and its factor, that explain ``shares`` of the axis's values; None: no such."""
     if len(shares) < len(SOUGHT):
         return None
     decades = [math.log10(shares[name]) for name in SOUGHT]
     for column, powers in UNITS.items():
         exponent = round(sum(d * p for d, p in zip(decades, powers, strict=True)) / sum(p * p for p in powers))
         misses = [abs(d - p * exponent) for d, p in zip(decades, powers, strict=True)]
-        # Friction may differ a little from what the file says; the mass may not.
+        # Friction may differ a little from the axis file; the mass may not.
         if exponent and misses[0] < DECADES and max(misses) < 2 * DECADES:
             return column, 10.0**exponent
     return None
 
 
-def _listed(found: Mapping[str, float], names: list[str]) -> str:
-    return ", ".join(_one(name, found[name]) for name in names)
+def _listed(identified: Mapping[str, float], names: list[str]) -> str:
+    return ", ".join(_one(name, identified[name]) for name in names)
 
 
 def _one(name: str, value: float) -> str:
@@ -204,11 +202,10 @@ def _one(name: str, value: float) -> str:
 
 @dataclass(frozen=True)
 class Errors:
-    """What an estimate is off by besides chance, (p,) each, None where it was not looked for: part of the intervals.
+    """Errors of an estimate besides chance, (p,) each, None where not computed; they are part of the intervals.
 
-    ``systematic``: what a chain that models neither hold nor rest is off by (NaN: another chain finds the parameter not
-    determined away from rest). ``encoder``: what the steps of the encoder do. ``cutoff``: what half and twice the
-    cut-off say.
+    ``systematic``: error of a chain that models neither hold nor rest (NaN: not determined away from rest).
+    ``encoder``: error by the encoder's steps. ``cutoff``: change at half and twice the cut-off.
     """
 
     systematic: np.ndarray | None = None
@@ -226,27 +223,27 @@ def assemble(
     extra: Mapping[str, Any] | None = None,
     weakest: float = WEAK_RELIABILITY,
 ) -> Identification:
-    """Put statistics beside the ``fit`` of a ``problem`` and make an :class:`Identification` of it.
+    """The :class:`Identification` of a ``fit`` of ``problem``, with its statistics and warnings.
 
-    ``Z`` (n, p) are the instruments, if any. ``weakest`` reliability of a column that still determines its parameter; 0
-    where W was simulated, not measured.
+    ``Z`` (n, p) are the instruments, if any. ``weakest`` is the least reliability of a column that still determines
+    its parameter; 0 where W was simulated, not measured.
     """
     record, axis, filtered, W = problem.record, problem.axis, problem.filtered, problem.W
     spread, lag = residual_statistics(problem, fit, Z)
     hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
-    left = unexplained(problem, fit.residual, spread)
+    structure = unexplained(problem, fit.residual, spread)
     shares = _reliability(problem) if weakest > 0 else [None] * len(problem.names)
-    at_rests = told_at_rests(problem) if weakest > 0 else ()
+    at_rests = known_near_rest_only(problem) if weakest > 0 else ()
     used = filtered.used
     sizes, swing = np.sqrt(np.mean(W[used] ** 2, axis=0)), float(np.std(problem.Y[used]))
     warnings: list[str] = []
     estimates = {}
-    values = problem.told(fit.value)
-    std = left.widening * spread.std
+    values = problem.parameters(fit.value)
+    std = structure.widening * spread.std
     bias, steps, moved = np.zeros((3, len(values)))
     if errors.systematic is not None:
         bias = errors.systematic
-    if errors.encoder is not None:  # a residual that tells of more than the encoder's steps has told of them
+    if errors.encoder is not None:  # smaller than std: the residual already contains the encoder's steps
         steps = np.where(errors.encoder > std, errors.encoder, 0.0)
     if errors.cutoff is not None:
         moved = errors.cutoff.beyond_chance
@@ -255,11 +252,11 @@ def assemble(
     for i, written in enumerate(problem.model.quantities):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
         value, half = float(values[i]), float(halves[i])
-        told, why = shares[i], ""
-        said = f"what the record says of it, {value:.3g} +- {half:.2g} {quantity.unit}, may be"
-        if told is not None and told < weakest:
+        share, why = shares[i], ""
+        may_be = f"what the record says of it, {value:.3g} +- {half:.2g} {quantity.unit}, may be"
+        if share is not None and share < weakest:
             why = (
-                f"the reference explains {100 * told:.0f} % of its column, the rest is noise; "
+                f"the reference explains {100 * share:.0f} % of its column, the rest is noise; "
                 "record motion that excites it"
             )
         elif np.isnan(bias[i]) or quantity.name in at_rests:
@@ -268,11 +265,11 @@ def assemble(
                 "speeds in both directions, with acceleration between them"
             )
         elif half * sizes[i] > swing:
-            why = f"{said} more than all of the {axis.units.words('force')}; record several speeds both ways"
+            why = f"{may_be} more than all of the {axis.units.words('force')}; record several speeds both ways"
         elif half > abs(value) and half * sizes[i] > OPEN * swing:
-            why = f"{said} nothing or half of the {axis.units.words('force')}; record several speeds both ways"
+            why = f"{may_be} nothing or half of the {axis.units.words('force')}; record several speeds both ways"
         elif quantity.name == "mass" and half >= abs(value):
-            why = f"{said} nothing: speeds are constant, or the encoder hides the acceleration; record acceleration"
+            why = f"{may_be} nothing: speeds are constant, or the encoder hides the acceleration; record acceleration"
         elif quantity.name in pushed:
             why = (
                 f"neither inertia nor friction takes a {axis.units.words('force')} that the record shows, so something "
@@ -280,7 +277,7 @@ def assemble(
             )
         if why:
             warnings.append(f"{quantity.name} is not determined: {why}")
-            estimates[quantity.name] = Estimate(quantity, None, None, reliability=told)
+            estimates[quantity.name] = Estimate(quantity, None, None, reliability=share)
             continue
         if half > abs(value) and quantity.name not in MAY_BE_ZERO:
             warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
@@ -294,12 +291,12 @@ def assemble(
             systematic=None if errors.systematic is None else float(bias[i]),
             encoder=None if errors.encoder is None else float(steps[i]),
             cutoff=None if errors.cutoff is None else float(moved[i]),
-            reliability=told,
+            reliability=share,
         )
-    found = {name: one.value for name, one in estimates.items() if one.value is not None}
+    determined = {name: estimate.value for name, estimate in estimates.items() if estimate.value is not None}
     if POWER.name in problem.names:
-        found.pop("viscous", None)  # of another unit than what the axis has
-    warnings = [*record.warnings, *notes, *implausible(found, axis), *warnings]
+        determined.pop("viscous", None)  # of another unit than what the axis has
+    warnings = [*record.warnings, *notes, *implausible(determined, axis), *warnings]
     return Identification(
         record=record.name,
         sha256=record.sha256,
@@ -315,7 +312,7 @@ def assemble(
         samples=int(filtered.used.sum()),
         residual=spread,
         hac_lag=lag * filtered.period,
-        warnings=(*warnings, *left.warnings()),
+        warnings=(*warnings, *structure.warnings()),
         axis=axis,
         period=record.period,
         series={
@@ -327,7 +324,7 @@ def assemble(
             "used": filtered.used,
         },
         extra={
-            "unexplained": left.to_dict(),
+            "unexplained": structure.to_dict(),
             "cutoff_sensitivity": None if errors.cutoff is None else errors.cutoff.relative,
             "cutoffs_tried": None if errors.cutoff is None else errors.cutoff.to_dict(),
             **(extra or {}),
@@ -336,9 +333,9 @@ def assemble(
 
 
 def _moved_by_another(names: Sequence[str], values: np.ndarray, halves: np.ndarray) -> tuple[str, ...]:
-    """Mass and friction where none of them is shown to be more than nothing, beside halves of intervals (p,).
+    """Mass and friction parameters where no interval (``halves`` its half widths, (p,)) excludes values <= 0.
 
-    A motor that moves an axis accelerates it or works against friction. All of them less than nothing are a sign.
+    A motor that moves an axis accelerates it or works against friction. (All below zero: a column has the wrong sign.)
     """
     own = [i for i, name in enumerate(names) if name == "mass" or name in FRICTION]
     low, high = values[own] - halves[own], values[own] + halves[own]
@@ -350,22 +347,21 @@ def _around(value: float, half: float) -> tuple[float, float]:
 
 
 def with_bootstrap(
-    found: Identification, problem: Regression, fit: LeastSquares, draws: int, seed: int
+    identification: Identification, problem: Regression, fit: LeastSquares, draws: int, seed: int
 ) -> Identification:
-    """``found`` with the deviations and intervals of a bootstrap that redraws the residual's noise ``draws`` times."""
-
+    """``identification`` with deviations and intervals by a bootstrap of the residual with ``draws`` draws."""
     steps, away = problem.filtered.independent_rows
     rows = (problem.W[::steps], fit.residual[::steps] * away[::steps], away[::steps])
-    std = np.sqrt(np.diag(residual_bootstrap(*rows, found.residual, draws, seed)))
-    parameters, widening = {}, found.extra["unexplained"]["widening"]
-    for (name, one), own in zip(found.parameters.items(), std.tolist(), strict=True):
-        parameters[name] = one
-        if one.value is None:
+    std = np.sqrt(np.diag(residual_bootstrap(*rows, identification.residual, draws, seed)))
+    parameters, widening = {}, identification.extra["unexplained"]["widening"]
+    for (name, estimate), own in zip(identification.parameters.items(), std.tolist(), strict=True):
+        parameters[name] = estimate
+        if estimate.value is None:
             continue
-        known = np.linalg.norm([widening * own, one.systematic or 0.0, one.encoder or 0.0])
-        half = float(np.hypot(found.residual.quantile * known, one.cutoff or 0.0))
-        parameters[name] = replace(one, std_bootstrap=own, interval_95_bootstrap=_around(one.value, half))
-    return replace(found, parameters=parameters)
+        known = np.linalg.norm([widening * own, estimate.systematic or 0.0, estimate.encoder or 0.0])
+        half = float(np.hypot(identification.residual.quantile * known, estimate.cutoff or 0.0))
+        parameters[name] = replace(estimate, std_bootstrap=own, interval_95_bootstrap=_around(estimate.value, half))
+    return replace(identification, parameters=parameters)
 
 
 def residual_statistics(problem: Regression, fit: LeastSquares, Z: np.ndarray | None = None) -> tuple[LongRun, int]:
@@ -387,11 +383,11 @@ def residual_statistics(problem: Regression, fit: LeastSquares, Z: np.ndarray | 
     return spread, min(lag, len(problem.W) // 10)
 
 
-def told_at_rests(problem: Regression) -> tuple[str, ...]:
-    """Friction parameters that mostly the rows beside what the ``hold`` chain leaves out tell apart.
+def known_near_rest_only(problem: Regression) -> tuple[str, ...]:
+    """Friction parameters that only rows beside rests determine, in the ``hold`` chain.
 
-    Within another period of the cut-off the filter still spreads what friction does at rest. A mass may be told there:
-    acceleration is where the velocity turns.
+    Within one more period of the cut-off the filter still smears friction at rest. A mass may be determined there,
+    for the acceleration is where the velocity reverses.
     """
     filtered = problem.filtered
     if filtered.chain != "hold":
@@ -407,7 +403,7 @@ def told_at_rests(problem: Regression) -> tuple[str, ...]:
 def _reliability(problem: Regression) -> list[float | None]:
     """Reliability of each column by the same chain on the reference; None where the motion does not follow it.
 
-    It tells of noise in derivatives: of mass and friction without the terms beside them, and of terms nothing.
+    Only for mass and friction, whose columns are derivatives and hold noise; None for terms beside them.
     """
     part, names = first_part(problem.record), problem.names
     if not follows(part):
@@ -417,7 +413,7 @@ def _reliability(problem: Regression) -> list[float | None]:
         problem = Regression.of(part, problem.axis, problem.model.friction, filtered.chain, filtered.cutoff_hz)
     elif part is not problem.record:
         problem = problem.alike(part)
-    led = problem.alike(replace(part, q=part.q_ref))
+    ideal = problem.alike(replace(part, q=part.q_ref))
     lags = tuple(round(delay / problem.filtered.period) for delay in LAGS)
-    shares = reliability(problem.W, led.W * problem.used[:, None], tuple(sorted(set(lags))))
+    shares = reliability(problem.W, ideal.W * problem.used[:, None], tuple(sorted(set(lags))))
     return [*shares.tolist(), *[None] * (len(names) - len(shares))]

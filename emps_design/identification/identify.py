@@ -1,12 +1,11 @@
-"""Identify the parameters of an axis from one record: least squares, or what the record asks for in its place.
+"""Identify the parameters of an axis from one record: least squares, instruments or output error.
 
-Noise of the force moves the carriage, the more the lighter it is and the faster its loop, and least squares then takes
-the mass too small: instruments are taken where a test says so, and where most of a column is noise but not of its
-instrument. Where all of the measured acceleration is noise neither determines the mass, but output error may, which
-takes it from its simulation. Both need the controller: where the axis has none and the record has a reference, it is
-looked for in the record. A record without either stays with least squares; so does a record of an hour, for its memory.
-
-Least squares on the inverse dynamic model, (12)-(17), by any chain of filters.
+Least squares on the inverse dynamic model, (12)-(17), works with any filter chain. But force noise moves the carriage,
+the more the lighter it is and the faster its loop, and then least squares underestimates the mass. Instruments replace
+it where a test shows the bias, or where a column is mostly noise and its instrument is not. Where the measured
+acceleration is all noise neither determines the mass; output error may, for it simulates the acceleration. Both need
+the controller, which is identified from the record where the axis has none. Without controller or reference, and for
+very long records (memory), least squares stands.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ from emps_design.identification.result import (
 from emps_design.laws import NONE
 from emps_design.records import Record
 
-MOST_NOISE = 0.5  # of a column's own power, that is taken for the encoder's noise
+MOST_NOISE = 0.5  # of a column's own power: at most so much is attributed to encoder noise
 
 WEIGHT = f"{GRAVITY}: on an axis that moves along a line a weight is the constant_force, which is always identified"
 UNTESTED = "whether least squares is biased was not tested"
@@ -68,14 +67,14 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
     friction = ONE_WAY if request.model == "symmetric" and goes_one_way(record) else request.model
     record = check_record(record, axis, request.external_force, one_way=friction == ONE_WAY)
     hold = request.filter == DEFAULT_CHAIN
-    asked = request.terms
-    axis = known_part(axis, Model(request.model, asked or ()))
-    said, chosen = notes(axis), chosen_cutoff(acting(record, axis))
+    terms = request.terms
+    axis = known_part(axis, Model(request.model, terms or ()))
+    remarks, chosen = notes(axis), chosen_cutoff(acting(record, axis))
     cutoff = chosen if hold and request.cutoff is None else request.cutoff
     proposed: tuple[str, ...] = ()
-    if asked is None and hold:
+    if terms is None and hold:
         proposed = proposed_terms(record, axis, friction, cutoff or chosen)
-    model = Model(friction, proposed if asked is None else asked)
+    model = Model(friction, proposed if terms is None else terms)
     problem = Regression.of(record, axis, model, request.filter, cutoff)
     fit = problem.solved()
     extra: dict[str, Any] = {
@@ -90,43 +89,43 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
         better, systematic = _against_hold(problem, fit, chosen)
         errors = Errors(systematic)
         if better is None:
-            said.append("no interval away from rest: the intervals leave out what friction at rest does to them")
+            remarks.append("no interval away from rest: the intervals leave out what friction at rest does to them")
         else:
-            extra["hold_modelled"] = {name: one.to_dict() for name, one in better.parameters.items()}
-    found = assemble(problem, fit, "least_squares", errors=errors, notes=said, extra=extra)
+            extra["hold_modelled"] = {name: estimate.to_dict() for name, estimate in better.parameters.items()}
+    identification = assemble(problem, fit, "least_squares", errors=errors, notes=remarks, extra=extra)
     if request.bootstrap:
-        found = with_bootstrap(found, problem, fit, request.bootstrap, request.seed)
-    found = replace(found, proposed=proposed)
-    return found if friction == request.model else _one_way(found, request.model)
+        identification = with_bootstrap(identification, problem, fit, request.bootstrap, request.seed)
+    identification = replace(identification, proposed=proposed)
+    return identification if friction == request.model else _one_way(identification, request.model)
 
 
-def _one_way(found: Identification, model: str) -> Identification:
-    """``found`` with the parameters of ``model`` that motion one way does not tell apart, not determined."""
-    whole, told = replace(found.fitted, friction=model), dict(found.parameters)
+def _one_way(identification: Identification, model: str) -> Identification:
+    """``identification`` with the parameters of ``model`` that motion one way cannot separate, as not determined."""
+    whole, estimates = replace(identification.fitted, friction=model), dict(identification.parameters)
     for written in whole.quantities:
-        if written.name not in told:
-            units = found.axis.units
+        if written.name not in estimates:
+            units = identification.axis.units
             quantity = replace(written, unit=units.unit(written.unit), text=units.words(written.text))
-            told[written.name] = Estimate(quantity, None, None)
-    parameters = {name: told[name] for name in (*whole.names, LUMP.name)}
-    return replace(found, fitted=whole, parameters=parameters, warnings=(*found.warnings, LUMPED))
+            estimates[written.name] = Estimate(quantity, None, None)
+    parameters = {name: estimates[name] for name in (*whole.names, LUMP.name)}
+    return replace(identification, fitted=whole, parameters=parameters, warnings=(*identification.warnings, LUMPED))
 
 
 def _encoder(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
-    """What the steps of the encoder alone do to least squares (p,)."""
+    """Rms error (p,) of least squares by the steps of the encoder; None where it is not computed."""
     if len(problem.record) > LONG:
         return None
-    # Imported here: beside a long record's regression the modules of a simulation are a tenth of its memory.
+    # Imported here: the simulation's modules would add a tenth to the memory of a long record's regression.
     from emps_design.identification.output_error import error_of_steps
 
-    def estimate(seen: Record, exact: Record) -> np.ndarray:
-        return problem.alike(seen).solved().value
+    def estimate(rounded: Record, exact: Record) -> np.ndarray:
+        return problem.alike(rounded).solved().value
 
     return error_of_steps(first_part(problem.record), problem.axis, problem.model, fit.value, estimate)
 
 
 def _cutoff(problem: Regression, fit: LeastSquares) -> CutoffSensitivity:
-    """What half and twice the cut-off do; of a long record in part."""
+    """Sensitivity to half and twice the cut-off; of a long record by its first part."""
     part = first_part(problem.record)
     if part is not problem.record:
         problem = problem.alike(part)
@@ -140,19 +139,19 @@ def _cutoff(problem: Regression, fit: LeastSquares) -> CutoffSensitivity:
 
 
 def _estimated(problem: Regression, fit: LeastSquares) -> Estimated:
-    """Least squares, and what the encoder's noise in the mass's column is known to take from it: it pulls it down."""
+    """Least squares, and the known bias by encoder noise in the column of the mass, which pulls the mass down."""
     square = problem.W.T @ problem.W
     own = 1.0 / float(np.linalg.inv(square)[0, 0])  # of the mass's column, less what the others explain
     noise = acceleration_noise(problem.record, problem.filtered.band_hz) * int(problem.used.sum())
     square[0, 0] -= min(noise, MOST_NOISE * own)
     without = np.linalg.solve(square, problem.W.T @ problem.Y)
-    return Estimated(problem.told(fit.value), residual_statistics(problem, fit)[0].std, without - fit.value)
+    return Estimated(problem.parameters(fit.value), residual_statistics(problem, fit)[0].std, without - fit.value)
 
 
 def _against_hold(
     problem: Regression, fit: LeastSquares, cutoff: float
 ) -> tuple[Identification | None, np.ndarray | None]:
-    """The same by the chain that models hold and rest, and what ``fit`` is off by; long records in part.
+    """Identification by the ``hold`` chain, and the error (p,) of ``fit`` against it; of a long record the first part.
 
     None where too little of the record is away from rest for that chain.
     """
@@ -168,7 +167,7 @@ def _against_hold(
 
 
 def _held_out(problem: Regression, fit: LeastSquares, request: Request) -> dict[str, Any] | None:
-    """Force error on data that took no part: another record, or the last third; None where the rest cannot do alone."""
+    """Force error on held-out data: another record, or the last third; None where the rest alone has no solution."""
     if request.holdout is not None:
         other = problem.alike(force_free(request.holdout, problem.axis, request.external_force))
         return _judgement(request.holdout.name, other.Y - other.W @ fit.value, other.Y, other.used)
@@ -181,11 +180,13 @@ def _held_out(problem: Regression, fit: LeastSquares, request: Request) -> dict[
     return _judgement("last third", Y[cut:] - W[cut:] @ first.value, Y[cut:], used[cut:])
 
 
-def held_out_on(found: Identification, holdout: Record, external_force: str = REFUSE) -> dict[str, Any]:
-    """Force error on ``holdout`` of the parameters ``found``, by the inverse model and the filter they came from."""
-    record = force_free(holdout, found.axis, external_force)
-    other = Regression.of(record, found.axis, found.fitted, found.chain, found.cutoff_hz)
-    return _judgement(holdout.name, other.Y - other.W @ found.solution(), other.Y, other.used)
+def held_out_on(identification: Identification, holdout: Record, external_force: str = REFUSE) -> dict[str, Any]:
+    """Force error of ``identification`` on ``holdout``, by its inverse model and filter."""
+    record = force_free(holdout, identification.axis, external_force)
+    other = Regression.of(
+        record, identification.axis, identification.fitted, identification.chain, identification.cutoff_hz
+    )
+    return _judgement(holdout.name, other.Y - other.W @ identification.solution(), other.Y, other.used)
 
 
 def _judgement(on: str, error: np.ndarray, force: np.ndarray, used: np.ndarray) -> dict[str, Any]:
@@ -230,8 +231,9 @@ def identify(
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
-    >>> found = identify(synthetic_record(machine("emps2019"), laps=1))
-    >>> round(found.parameters["mass"].value, 0), found.parameters["mass"].quantity.unit, found.estimator
+    >>> identification = identify(synthetic_record(machine("emps2019"), laps=1))
+    >>> mass = identification.parameters["mass"]
+    >>> round(mass.value, 0), mass.quantity.unit, identification.estimator
     (95.0, 'kg', 'least_squares')
     """
     request = Request(model, estimator, filter, cutoff, **more)
@@ -241,61 +243,70 @@ def identify(
         axis = machine("emps2019")
     weight = "" if axis.units.rotary or GRAVITY not in (request.terms or ()) else WEIGHT
     if weight:
-        request = replace(request, with_=[one for one in request.terms or () if one != GRAVITY])
-    found = _identified(record, axis, request)
-    return replace(found, warnings=(*found.warnings, weight)) if weight else found
+        request = replace(request, with_=[term for term in request.terms or () if term != GRAVITY])
+    identification = _identified(record, axis, request)
+    return replace(identification, warnings=(*identification.warnings, weight)) if weight else identification
 
 
 def _identified(record: Record, axis: Axis, request: Request) -> Identification:
-    """By the estimator that is asked for, with the law that is in the record where the axis has none."""
+    """By the requested estimator; where the axis has no controller, with the one identified from the record."""
     estimate = BY[request.estimator]
     if not request.simulates or axis.controller.kind != NONE or not record.has_reference or len(record) > LONG:
         return estimate(record, axis, request)
     from emps_design.identification.own_law import with_own_law
 
-    with_law, said = with_own_law(record, axis)
-    found = estimate(record, with_law or axis, request)
-    # The axis keeps what it says of its controller: `law` writes the one that was found.
-    return replace(found, axis=found.axis.replace(controller=axis.controller), warnings=(*found.warnings, said))
+    with_law, remark = with_own_law(record, axis)
+    identification = estimate(record, with_law or axis, request)
+    # The axis keeps its own controller table: the command `law` writes the identified one.
+    return replace(
+        identification,
+        axis=identification.axis.replace(controller=axis.controller),
+        warnings=(*identification.warnings, remark),
+    )
 
 
 def _auto(record: Record, axis: Axis, request: Request) -> Identification:
-    """Least squares, instruments where that is biased, or output error; other chains and a bootstrap: the first."""
+    """Least squares, or instruments where it is biased, or output error; with other chains always least squares."""
     plain = identify_by_least_squares(record, axis, request)
     if request.filter != DEFAULT_CHAIN or axis.controller.kind == NONE or not record.has_reference:
         return plain
     if request.bootstrap:
-        said = f"{UNTESTED}: a bootstrap is one of least squares"
-        return replace(plain, warnings=(*plain.warnings, said))
+        remark = f"{UNTESTED}: a bootstrap is one of least squares"
+        return replace(plain, warnings=(*plain.warnings, remark))
     if len(record) > LONG:
-        said = f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
-        return replace(plain, warnings=(*plain.warnings, said))
+        remark = (
+            f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
+        )
+        return replace(plain, warnings=(*plain.warnings, remark))
     if goes_one_way(record):
         return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: motion one way tells too little"))
     from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
 
     try:
         fit = solve_with_instruments(record, axis, plain.fitted, request.cutoff, request.external_force)
-        untold = [name for name, one in plain.parameters.items() if _by_noise(one, WEAK_RELIABILITY)]
-        led = fit.identification() if untold or fit.test.matters else None
-    except (EmpsError, np.linalg.LinAlgError) as error:  # no simulation with this controller follows the record
+        undetermined = [name for name, estimate in plain.parameters.items() if _by_noise(estimate, WEAK_RELIABILITY)]
+        instrumental = fit.identification() if undetermined or fit.test.matters else None
+    except (EmpsError, np.linalg.LinAlgError) as error:  # the simulation with this controller does not follow
         return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: {error}"))
-    hidden = [name for name in untold if _by_noise(plain.parameters[name], WEAK_INSTRUMENT)]
-    tried = None if led is None else _where_noise_hides(record, axis, request, hidden, led)
+    hidden = [name for name in undetermined if _by_noise(plain.parameters[name], WEAK_INSTRUMENT)]
+    tried = None if instrumental is None else _where_noise_hides(record, axis, request, hidden, instrumental)
     if tried is not None:
         return replace(_judged(tried, request), proposed=plain.proposed)
-    told = {} if led is None else {name: one.determined for name, one in led.parameters.items()}
+    instrumented = {} if instrumental is None else instrumental.parameters
+    determined = {name: estimate.determined for name, estimate in instrumented.items()}
     if (
-        led is None
-        or not (fit.test.matters or any(told[name] for name in untold))
-        or any(one.determined and not told[name] for name, one in plain.parameters.items())
+        instrumental is None
+        or not (fit.test.matters or any(determined[name] for name in undetermined))
+        or any(estimate.determined and not determined[name] for name, estimate in plain.parameters.items())
     ):
         return replace(plain, extra=plain.extra | {"hausman_test": fit.test.to_dict()})
-    led = replace(led, warnings=(*led.warnings, *_weakly_led(led)), proposed=plain.proposed)
-    return _judged(led, request)
+    instrumental = replace(
+        instrumental, warnings=(*instrumental.warnings, *_weak_column_warnings(instrumental)), proposed=plain.proposed
+    )
+    return _judged(instrumental, request)
 
 
-# Imported in the functions: beside a long record's regression the modules of a simulation are a tenth of its memory.
+# Imported in the functions: the simulation's modules would add a tenth to the memory of a long record's regression.
 def _by_instruments(record: Record, axis: Axis, request: Request) -> Identification:
     from emps_design.identification.instruments import identify_with_instruments
 
@@ -309,13 +320,13 @@ def _by_output_error(record: Record, axis: Axis, request: Request) -> Identifica
 
 
 def _simulated(estimate: Callable[..., Identification], record: Record, axis: Axis, request: Request) -> Identification:
-    """By an ``estimate`` that simulates the record, with the terms that were asked for or that the record proposes."""
+    """By an estimator that simulates the record, with the requested terms or those that the record calls for."""
     if request.terms is not None:
         model = Model(request.model, request.terms)
         return estimate(record, axis, model, request.cutoff, request.external_force)
     proposed = proposed_for(record, axis, request)
-    found = estimate(record, axis, Model(request.model, proposed), request.cutoff, request.external_force)
-    return replace(found, proposed=proposed)
+    identification = estimate(record, axis, Model(request.model, proposed), request.cutoff, request.external_force)
+    return replace(identification, proposed=proposed)
 
 
 BY: dict[str, Callable[[Record, Axis, Request], Identification]] = {
@@ -326,45 +337,53 @@ BY: dict[str, Callable[[Record, Axis, Request], Identification]] = {
 }
 
 
-def _judged(found: Identification, request: Request) -> Identification:
-    """``found`` with what it is worth on the held-out record."""
+def _judged(identification: Identification, request: Request) -> Identification:
+    """``identification`` with its force error on the held-out record."""
     if request.holdout is None:
-        return found
-    judged = held_out_on(found, request.holdout, request.external_force)
-    return replace(found, extra=found.extra | {"held_out": judged})
+        return identification
+    judged = held_out_on(identification, request.holdout, request.external_force)
+    return replace(identification, extra=identification.extra | {"held_out": judged})
 
 
 def _where_noise_hides(
-    record: Record, axis: Axis, request: Request, hidden: list[str], led: Identification
+    record: Record, axis: Axis, request: Request, hidden: list[str], instrumental: Identification
 ) -> Identification | None:
-    """Output error where it alone determines what noise hides, and agrees with ``led`` on the rest; else None."""
+    """Output error where it determines the ``hidden`` parameters and agrees with instruments on the rest; else None."""
     if not hidden:
         return None
     try:
-        found = _by_output_error(record, axis, replace(request, with_=led.fitted.terms))
+        by_output_error = _by_output_error(record, axis, replace(request, with_=instrumental.fitted.terms))
     except EmpsError:
         return None
-    ends = {name: one.interval_95 for name, one in found.parameters.items() if one.interval_95 is not None}
-    others = {name: one.interval_95 for name, one in led.parameters.items() if one.interval_95 is not None}
-    told = all(name in ends and ends[name][0] * ends[name][1] > 0.0 for name in hidden)
-    if not told or any(ends[name][0] > high or ends[name][1] < low for name, (low, high) in others.items()):
+    ends = {
+        name: estimate.interval_95
+        for name, estimate in by_output_error.parameters.items()
+        if estimate.interval_95 is not None
+    }
+    others = {
+        name: estimate.interval_95
+        for name, estimate in instrumental.parameters.items()
+        if estimate.interval_95 is not None
+    }
+    sure = all(name in ends and ends[name][0] * ends[name][1] > 0.0 for name in hidden)
+    if not sure or any(ends[name][0] > high or ends[name][1] < low for name, (low, high) in others.items()):
         return None
-    said = (
+    remark = (
         f"{', '.join(hidden)}: by output error, for the measured motion is noise there, and least squares and "
         "instruments do not determine it"
     )
-    extra = found.extra | {"hausman_test": led.extra["hausman_test"]}
-    return replace(found, extra=extra, warnings=(*found.warnings, said))
+    extra = by_output_error.extra | {"hausman_test": instrumental.extra["hausman_test"]}
+    return replace(by_output_error, extra=extra, warnings=(*by_output_error.warnings, remark))
 
 
-def _by_noise(one: Estimate, weakest: float) -> bool:
-    """Whether noise in its column hides the parameter from an estimator that needs ``weakest`` of it explained."""
-    return not one.determined and one.reliability is not None and one.reliability < weakest
+def _by_noise(estimate: Estimate, weakest: float) -> bool:
+    """Whether noise in its column hides the parameter from an estimator that needs a reliability of ``weakest``."""
+    return not estimate.determined and estimate.reliability is not None and estimate.reliability < weakest
 
 
-def _weakly_led(found: Identification) -> list[str]:
-    """Of what instruments alone determine: least squares would not, and they may be off by more than they say."""
-    shares = {name: one.reliability for name, one in found.parameters.items() if one.determined}
+def _weak_column_warnings(instrumental: Identification) -> list[str]:
+    """Warnings for parameters that only instruments determine: their error may exceed their interval."""
+    shares = {name: estimate.reliability for name, estimate in instrumental.parameters.items() if estimate.determined}
     return [
         f"{name}: the reference explains {100.0 * share:.2g} % of its column, least squares would not determine it; "
         "compare output error (oe), or record more acceleration"

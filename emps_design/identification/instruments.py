@@ -94,9 +94,9 @@ class InstrumentalFit:
             other = Regression.of(record, axis, model, cutoff=frequency)
             columns = _columns(self.led, other)
             found = _solved(columns, other)
-            return Estimated(other.told(found.value), residual_statistics(other, found, columns)[0].std)
+            return Estimated(other.parameters(found.value), residual_statistics(other, found, columns)[0].std)
 
-        own = Estimated(problem.told(fit.value), residual_statistics(problem, fit, Z)[0].std)
+        own = Estimated(problem.parameters(fit.value), residual_statistics(problem, fit, Z)[0].std)
         errors = Errors(
             encoder=error_of_steps(first_part(record), axis, model, fit.value, of_steps),
             cutoff=cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, record.period, at),

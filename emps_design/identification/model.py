@@ -1,8 +1,8 @@
-"""What is identified: the friction model of the paper, with terms beside it where a machine has more.
+"""The model that is identified: the friction model of the paper, with terms beside it where a machine has more.
 
-The columns of every parameter but two are those of a linear regression. The angle of a weight and the power of a bent
-friction are not linear; the regression has their derivatives at a ``point`` near the solution and gives by how much
-they differ from it. So all that is known of a linear regression holds for them too, to first order (the delta method).
+All parameters but two are linear. The angle of a weight and the exponent of a bent friction are not: the regression
+holds their derivatives at a ``point`` near the solution and yields the difference from it. To first order the
+statistics of linear regression hold for them too (delta method).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MODELS: dict[str, tuple[Quantity, ...]] = {
         Quantity("coulomb_negative", "F_c^-", "N", text="Coulomb friction, velocity < 0"),
     ),
 }
-# What a record that goes one way tells of the symmetric model: what opposes the motion whatever its speed is one force.
+# The symmetric model for motion in one direction, where Coulomb friction and constant force are one parameter.
 ONE_WAY, LUMP = "one way", Quantity("coulomb_and_offset", "F_c0", "N", text="Coulomb friction and constant force")
 
 LUMPED = (
@@ -40,7 +40,7 @@ LUMPED = (
     f"{LUMP.name}; record the other way too and give both records"
 )
 
-# What a force has to work against on any machine.
+# The friction parameters of all models.
 FRICTION = tuple(f"{kind}{way}" for kind in ("viscous", "coulomb") for way in ("", "_positive", "_negative"))
 
 
@@ -57,8 +57,8 @@ def parameters_of(model: str) -> tuple[Quantity, ...]:
 class Model:
     """The model of an identification: its ``friction`` and the ``terms`` beside it.
 
-    ``point`` has the values of :attr:`names` around which the columns are those of a linear model; empty where it is
-    not known yet, which only the terms that are not linear need.
+    ``point`` holds the values of :attr:`names` around which the model is linearised. Only nonlinear terms need it; it
+    is empty until known.
 
     >>> Model("symmetric", ("gravity",)).names
     ('mass', 'viscous', 'coulomb', 'constant_force', 'gravity_torque', 'gravity_angle')
@@ -79,7 +79,7 @@ class Model:
         beside = [quantity for term in self.terms for quantity in TERMS[term].quantities]
         own = parameters_of(self.friction)
         if BENT in self.terms:
-            own = tuple(replace(one, unit="N/(m/s)^n") if one.name == "viscous" else one for one in own)
+            own = tuple(replace(written, unit="N/(m/s)^n") if written.name == "viscous" else written for written in own)
         return (*own, *beside)
 
     @property
@@ -89,14 +89,14 @@ class Model:
 
     @property
     def curved(self) -> np.ndarray:
-        """Which parameters (p,) are not linear, and need a point around which the model is."""
+        """Mask (p,) of the nonlinear parameters, which need a point to linearise around."""
         return np.array([name in (ANGLE.name, POWER.name) for name in self.names])
 
     def possible(self, value: np.ndarray) -> bool:
         """Whether a simulation may start from the solution ``value`` (p,): mass, friction and weight are positive."""
-        found = self.natural(value)
-        positive = all(found.get(name, 1.0) > 0.0 for name in ("mass", *FRICTION, "gravity_torque"))
-        return positive and LOWEST <= found.get(POWER.name, 1.0) <= HIGHEST
+        p = self.natural(value)
+        positive = all(p.get(name, 1.0) > 0.0 for name in ("mass", *FRICTION, "gravity_torque"))
+        return positive and LOWEST <= p.get(POWER.name, 1.0) <= HIGHEST
 
     def columns(self, motion: Motion) -> Iterator[np.ndarray]:
         """Column (n,) after column of the regressor, in the order of :attr:`names` [N per unit of the parameter].
@@ -123,36 +123,36 @@ class Model:
                 yield column(motion, name)
 
     def natural(self, value: np.ndarray) -> dict[str, float]:
-        """The parameters by name that belong to the solution ``value`` (p,) of the linear regression."""
+        """The parameters by name for the solution ``value`` (p,) of the linear regression."""
         start = self._start()
         point = np.array([start.get(name, 0.0) for name in self.names])
         return dict(zip(self.names, np.where(self.curved, value + point, value).tolist(), strict=True))
 
     def solution(self, parameters: Mapping[str, float]) -> np.ndarray:
-        """The solution (p,) of the linear regression that belongs to ``parameters`` by name."""
+        """The solution (p,) of the linear regression for ``parameters`` by name."""
         start = self._start()
-        found = np.array([parameters[name] for name in self.names], dtype=float)
-        return np.where(self.curved, found - np.array([start.get(name, 0.0) for name in self.names]), found)
+        numbers = np.array([parameters[name] for name in self.names], dtype=float)
+        return np.where(self.curved, numbers - np.array([start.get(name, 0.0) for name in self.names]), numbers)
 
     def around(self, value: np.ndarray) -> Model:
-        """The model around the solution ``value`` (p,) of the regression around its present point.
+        """The model linearised around the solution ``value`` (p,) of the regression at its present point.
 
-        Of a weight exactly: the sum of a sine and a cosine is a sine, with a positive torque.
+        For a weight the step is exact: a sine plus a cosine is a shifted sine, taken with positive torque.
         """
-        found, start = self.natural(value), self._start()
+        p, start = self.natural(value), self._start()
         if GRAVITY in self.terms:
-            sine, cosine = found["gravity_torque"], start["gravity_torque"] * (found[ANGLE.name] - start[ANGLE.name])
+            sine, cosine = p["gravity_torque"], start["gravity_torque"] * (p[ANGLE.name] - start[ANGLE.name])
             angle = start[ANGLE.name] + float(np.arctan2(cosine, sine))
-            found["gravity_torque"] = float(np.hypot(sine, cosine))
-            found[ANGLE.name] = float(np.arctan2(np.sin(angle), np.cos(angle)))
+            p["gravity_torque"] = float(np.hypot(sine, cosine))
+            p[ANGLE.name] = float(np.arctan2(np.sin(angle), np.cos(angle)))
         if BENT in self.terms:
-            found[POWER.name] = float(np.clip(found[POWER.name], LOWEST, HIGHEST))
-        return replace(self, point=found)
+            p[POWER.name] = float(np.clip(p[POWER.name], LOWEST, HIGHEST))
+        return replace(self, point=p)
 
     def baseline(self, p: Mapping[str, float]) -> np.ndarray:
-        """Mass, viscous, coulomb and constant force of the parameters ``p``: the means of two quadrants.
+        """Mass, viscous, coulomb and constant force (4,) of the parameters ``p``; of both directions the means.
 
-        A bent viscous friction is none of the baseline, whose is a straight line.
+        A bent viscous friction does not count: that of the baseline is linear.
 
         >>> two = {"viscous_positive": 5.0, "viscous_negative": 3.0, "coulomb_positive": 8.0, "coulomb_negative": 6.0}
         >>> Model("asymmetric").baseline({"mass": 2.0, **two}).tolist()
@@ -181,7 +181,7 @@ def powered(v: np.ndarray, power: float) -> np.ndarray:
 
 
 def column(motion: Motion, name: str) -> np.ndarray:
-    """Column of the regressor that parameter ``name`` multiplies, shape (n,) [N per unit of the parameter].
+    """Regressor column (n,) of parameter ``name`` [N per unit of the parameter].
 
     >>> motion = Motion(*(np.array(x) for x in ([0.0, 1.0], [0.0, 0.0], [2.0, -3.0], [5.0, 7.0], [0.0, 0.0])), 1.0)
     >>> [column(motion, p.name).tolist() for p in MODELS["asymmetric"]][1:3]
@@ -196,7 +196,7 @@ def column(motion: Motion, name: str) -> np.ndarray:
         return np.where(v > 0, v, 0.0)
     if name == "viscous_negative":
         return np.where(v < 0, v, 0.0)
-    # Signs take a byte each: beside the columns of a long record they are nothing.
+    # One byte per sign: small beside the columns of a long record.
     if name in ("coulomb", LUMP.name):
         return motion.smooth(np.sign(v).astype(np.int8))
     if name == "coulomb_positive":

@@ -184,9 +184,9 @@ def identify_by_output_error(
         columns, left = np.column_stack([_rows(one, other) for one in slopes]), _rows(error, other)
         step = least_squares(columns, left, other.names, other.used)
         linear, found = _linear(other, columns, step.residual, value + step.value)
-        return Estimated(other.told(found.value), residual_statistics(linear, found)[0].std)
+        return Estimated(other.parameters(found.value), residual_statistics(linear, found)[0].std)
 
-    own = Estimated(problem.told(value), residual_statistics(problem, fit)[0].std)
+    own = Estimated(problem.parameters(value), residual_statistics(problem, fit)[0].std)
     errors = Errors(
         encoder=error_of_steps(record, axis, model, value, of_steps),
         cutoff=cutoff_sensitivity(problem.names, own, cutoff, record.period, at),

@@ -1,8 +1,8 @@
-"""The regression that an identification solves: a record filtered in one way, the columns of a model, the force.
+"""The regression that an identification solves: a filtered record, the columns of a model, the force.
 
-Least squares, instruments and output error start from the same one, at one cut-off or at another.
+Least squares, instruments and output error all start from it, each at a cut-off of its own.
 
-What an axis file knows besides the parameters that are sought: what its drive does to the voltage, its effects.
+What the axis file already gives, the drive's effect on the voltage and known effects, is removed first.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def known_part(axis: Axis, model: str | Model) -> Axis:
     [1, 0]
     """
     own = _parts(model)
-    return axis.replace(effects=[one for one in axis.effects if not own.intersection(one.effect.identified_by)])
+    return axis.replace(effects=[entry for entry in axis.effects if not own.intersection(entry.effect.identified_by)])
 
 
 def identified_effects(model: str | Model, p: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -62,18 +62,18 @@ def _parts(model: str | Model) -> set[str]:
 
 
 def acting(record: Record, axis: Axis) -> Record:
-    """The record with the voltage that acts in place of the recorded one: see :func:`acting_voltage`."""
+    """The record with its voltage replaced by the one that acts on the motor: see :func:`acting_voltage`."""
     voltage, _ = acting_voltage(sampled_with(axis, record.period), record.u)
     return replace(record, u=voltage * motor_share(axis, record))
 
 
 def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | None = None) -> Filtered:
-    """Run ``record`` through ``chain``, less what the axis' drive and effects account for.
+    """Run ``record`` through ``chain`` and subtract what the drive and the effects of ``axis`` account for.
 
-    Delays, lags and maps of the drive go into the voltage, and so do the supply of a duty and where the motor was
-    switched off; what a back-EMF brakes, and the force of effects that have a regressor is taken out of
-    the motor force, with the parameters of the axis and its present mechanics where an effect depends on them.
-    Raises :class:`InputError`, which names the nearest chain.
+    The voltage is corrected for delays, lags and maps of the drive, for the supply of a duty cycle, and for samples
+    with the motor switched off. The braking force of the back-EMF and the force of effects that have a regressor are
+    subtracted from the motor force, computed with the parameters of the axis and, where an effect depends on them,
+    its present mechanics. Raises :class:`InputError`, which names the nearest chain.
     """
     check_chain(chain)
     voltage, rest = acting_voltage(sampled_with(axis, record.period), record.u)
@@ -90,44 +90,44 @@ def filter_record(record: Record, axis: Axis, chain: str, cutoff_hz: float | Non
 
 
 def check_chain(chain: str) -> None:
-    """Raise :class:`InputError`, which names the nearest, for a ``chain`` of filters that is none."""
+    """Raise :class:`InputError`, which names the nearest chain, where ``chain`` is not one of :data:`CHAINS`."""
     if chain not in CHAINS:
         raise InputError(f"`filter`: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
 
 
 def notes(axis: Axis, simulated: bool = False) -> list[str]:
-    """One line for each thing about the effects of ``axis`` that whoever identifies with it should know.
+    """Notes for the user on how the identification treats the effects of ``axis``, one line each.
 
-    ``simulated``: the estimator simulates them all, and needs no regressor.
+    ``simulated``: the estimator simulates all effects and needs no regressor for them.
 
     >>> from emps_design.machines import machine
     >>> notes(machine("emps2019"))
     []
     """
-    found = []
+    lines = []
     _, rest = acting_voltage(axis, np.zeros(1))
     unused = () if simulated else left_out(rest)["offline"]
-    taken = [one.kind for one in axis.effects if one.kind not in unused]
+    taken = [entry.kind for entry in axis.effects if entry.kind not in unused]
     if taken:
-        found.append(f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}")
+        lines.append(f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}")
     if unused:
-        found.append(
+        lines.append(
             f"left out of the regression, for the motion does not give their force: {', '.join(unused)}; they pull at "
             "mass and friction, output error (oe) has them in its simulation"
         )
-    own = [one.kind for one in axis.effects if any(p.per_record for p in one.effect.parameters)]
+    own = [entry.kind for entry in axis.effects if any(p.per_record for p in entry.effect.parameters)]
     if own:
-        found.append(f"right only if the axis was made from this record, by phase or time: {', '.join(own)}")
-    return found
+        lines.append(f"right only if the axis was made from this record, by phase or time: {', '.join(own)}")
+    return lines
 
 
 @dataclass(frozen=True)
 class Regression:
-    """``Y = W X + e`` of one record: ``W`` (n, p), ``Y`` (n,) [N], zero in the rows that take no part.
+    """``Y = W X + e`` of one record: ``W`` (n, p), ``Y`` (n,) [N], zero in unused rows.
 
-    ``axis`` gives the drive and what is known already; ``filtered`` is the record after its chain of filters, without
-    its motion, of which W is made. ``model`` is linear around its point: there the solution X is what the parameters
-    differ by where they are not linear.
+    ``axis`` gives the drive and the known effects; ``filtered`` is the record after its filter chain, without the
+    motion that W was made of. ``model`` is linearised around its point: for a nonlinear parameter the solution X is
+    the difference from that point.
     """
 
     record: Record
@@ -143,14 +143,14 @@ class Regression:
     ) -> Regression:
         """The regression of ``record`` after a ``chain`` of filters with ``cutoff`` [Hz] (None: the chain's own).
 
-        A ``model`` without the point that it needs is taken around its solution. Raises :class:`RecordError` where the
-        filter leaves too little.
+        A nonlinear ``model`` without a point is linearised around its solution. Raises :class:`RecordError` where the
+        filter leaves too few rows.
 
         >>> from emps_design.machines import machine
         >>> from emps_design.simulation.synthetic import synthetic_record
         >>> axis = machine("emps2019")
-        >>> one = Regression.of(synthetic_record(axis, laps=1), axis, "symmetric", cutoff=40.0)
-        >>> one.names[0], round(one.solved().value[0])
+        >>> problem = Regression.of(synthetic_record(axis, laps=1), axis, "symmetric", cutoff=40.0)
+        >>> problem.names[0], round(problem.solved().value[0])
         ('mass', 95)
         """
         filtered = filter_record(record, axis, chain, cutoff)
@@ -164,34 +164,35 @@ class Regression:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The parameters, in the order of the columns."""
+        """Names of the parameters, in the order of the columns."""
         return self.model.names
 
     @property
     def used(self) -> np.ndarray:
-        """Which rows (n,) take part."""
+        """Mask (n,) of the rows that count."""
         return self.filtered.used
 
-    def told(self, value: np.ndarray) -> np.ndarray:
-        """The parameters (p,) that belong to the solution ``value`` (p,)."""
+    def parameters(self, value: np.ndarray) -> np.ndarray:
+        """The parameters (p,) for the solution ``value`` (p,) of the linearised regression."""
         return np.array(list(self.model.natural(value).values()))
 
     def solved(self) -> LeastSquares:
-        """Least squares; raises :class:`RankError` for columns that the record cannot tell apart."""
+        """The least-squares fit; raises :class:`RankError` for columns that the record cannot tell apart."""
         return least_squares(self.W, self.Y, self.names, self.used)
 
 
 def settled(filtered: Filtered, model: Model) -> Model:
-    """The ``model`` around its least-squares solution, where it is not linear and has no point yet.
+    """The ``model`` linearised around its least-squares solution, where it is nonlinear and has no point yet.
 
-    The power of the speed is searched for, everything else being linear beside it (G. Golub, V. Pereyra, 1973).
+    The exponent of the speed is searched; for each exponent all other parameters are linear (variable projection,
+    G. Golub, V. Pereyra, 1973).
     """
     if model.point or not model.curved.any():
         return model
     if BENT in model.terms:
         from scipy.optimize import minimize_scalar
 
-        rest, Y = regression(filtered, replace(model, terms=tuple(one for one in model.terms if one != BENT)))
+        rest, Y = regression(filtered, replace(model, terms=tuple(term for term in model.terms if term != BENT)))
         rest = np.delete(rest, model.names.index("viscous"), axis=1)
         basis = np.linalg.qr(rest / np.maximum(np.linalg.norm(rest, axis=0), 1e-300))[0]
 

@@ -1,8 +1,7 @@
-"""What is asked of an identification besides record and axis, and what it returns.
+"""Options and result of an identification.
 
-What an identification returns: parameters with their deviations, and the axis they make.
-
-What is asked of an identification besides record and axis: the options of :func:`.identify` and its command.
+:class:`Request` holds the options of :func:`.identify` and of the command; :class:`Identification` the parameters with
+their deviations, and the axis that they make.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ ESTIMATORS = (AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR)
 
 
 class More(TypedDict, total=False):
-    """The options of :func:`.identify` that few need."""
+    """The less common options of :func:`.identify`."""
 
     external_force: str
     holdout: Record | None
@@ -42,7 +41,7 @@ class More(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Request:
-    """The options of :func:`.identify`; raises :class:`InputError` for what is none, or what do not go together.
+    """The options of :func:`.identify`; raises :class:`InputError` for unknown or incompatible ones.
 
     >>> Request(estimator="iv", bootstrap=100)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
@@ -63,13 +62,13 @@ class Request:
     def __post_init__(self) -> None:
         parameters_of(self.model)
         check_chain(self.filter)
-        for name, found, allowed in (
+        for name, option, allowed in (
             ("`estimator`", self.estimator, ESTIMATORS),
             ("`external_force=`", self.external_force, (REFUSE, KNOWN)),
         ):
-            if found not in allowed:
+            if option not in allowed:
                 expected = f"{', '.join(allowed[:-1])} or {allowed[-1]}"
-                raise InputError(f"{name}: found {found!r}, expected {expected}{nearest_name(found, list(allowed))}")
+                raise InputError(f"{name}: found {option!r}, expected {expected}{nearest_name(option, list(allowed))}")
         for term in self.terms or ():
             if term not in TERMS:
                 known = [*TERMS, NO_TERMS]
@@ -79,12 +78,12 @@ class Request:
                 raise InputError(f"`with_`: {term} goes with `model='symmetric'`, found {self.model!r}")
         if self.estimator in (AUTO, BY_LEAST_SQUARES):
             return
-        for name, given in (
+        for name, chosen in (
             ("`filter`", self.filter != DEFAULT_CHAIN),
             ("`holdout`", self.holdout is not None),
             ("`bootstrap`", self.bootstrap > 0),
         ):
-            if given:
+            if chosen:
                 raise InputError(
                     f"{name}: goes with `estimator='ls'`, found {self.estimator!r}, which filters as hold does and has "
                     "intervals of its own"
@@ -92,7 +91,7 @@ class Request:
 
     @property
     def terms(self) -> tuple[str, ...] | None:
-        """The terms beside the friction model that were asked for, in the order of :data:`TERMS`; None: by the record.
+        """The requested terms beside the friction model, in the order of :data:`TERMS`; None: the record decides.
 
         >>> Request(with_="bent-viscous, gravity").terms, Request(with_="none").terms, Request().terms
         (('gravity', 'bent-viscous'), (), None)
@@ -100,25 +99,26 @@ class Request:
         if self.with_ == AUTO:
             return None
         listed = self.with_.split(",") if isinstance(self.with_, str) else self.with_
-        asked = [one.strip() for one in listed if one.strip()]
-        asked = [] if asked == [NO_TERMS] else asked
-        return tuple(sorted(dict.fromkeys(asked), key=lambda one: [*TERMS, one].index(one)))
+        terms = [term.strip() for term in listed if term.strip()]
+        terms = [] if terms == [NO_TERMS] else terms
+        return tuple(sorted(dict.fromkeys(terms), key=lambda term: [*TERMS, term].index(term)))
 
     @property
     def simulates(self) -> bool:
-        """Whether an estimator takes part that simulates the record with its controller."""
+        """Whether one of the estimators simulates the record with its controller."""
         return self.estimator != BY_LEAST_SQUARES and self.filter == DEFAULT_CHAIN and not self.bootstrap
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and what holds.
+    """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and realistic bounds.
 
-    ``std_long_run`` and ``interval_95`` allow for the correlation of the residual and for structure in it; ``std_hac``
-    is the HAC deviation; ``systematic`` what a chain that models neither hold nor rest is off by, judged by the one
-    that does, ``encoder`` the rms of what the steps of the encoder do by simulation, 0 where the residual tells of
-    more, and ``cutoff`` what half and twice the cut-off move it by beyond chance: all three are part of the interval.
-    All None where the record does not determine the parameter; ``reliability`` says how much of its column is motion.
+    ``std_long_run`` and ``interval_95`` allow for a correlated residual with structure; ``std_hac`` is the HAC
+    deviation. Three further errors are part of the interval: ``systematic``, the error of a chain that models neither
+    hold nor rest, against the one that does; ``encoder``, the rms error by the encoder's steps, simulated, 0 where the
+    residual already shows more; ``cutoff``, how far half and twice the cut-off move the value beyond chance.
+    All are None where the record does not determine the parameter; ``reliability`` is the share of its column that is
+    motion rather than noise.
     """
 
     quantity: Quantity
@@ -157,10 +157,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Identification:
-    """Parameters of one record with their deviations, and how they were found.
+    """Parameters of one record with their deviations, and how they were estimated.
 
-    ``fitted`` is what was identified: the friction model and the terms beside it, of which ``proposed`` were asked for
-    by the record alone.
+    ``fitted`` is the identified model: friction model and terms beside it, of which ``proposed`` are those that the
+    record itself called for.
     """
 
     record: str
@@ -194,20 +194,20 @@ class Identification:
         return np.array([np.nan if e.value is None else e.value for e in self.parameters.values()])
 
     def solution(self, model: Model | None = None) -> np.ndarray:
-        """What the columns of a ``model`` (:attr:`fitted` by default) multiply, (p,), NaN where not determined."""
+        """Coefficients (p,) of the columns of ``model`` (default :attr:`fitted`), NaN where not determined."""
         by_name = dict(zip(self.parameters, self.values().tolist(), strict=True))
         return (model or self.fitted).solution(by_name)
 
     def baseline(self) -> np.ndarray:
-        """Mass, viscous, coulomb, offset, with an asymmetric model's means; raises where one is not determined."""
+        """Mass, viscous, coulomb, offset; of an asymmetric model the means; raises where one is not determined."""
         return self.fitted.baseline(self._determined("the axis"))
 
     def to_axis(self, name: str | None = None) -> Axis:
-        """The axis with the identified mechanics and its known effects; terms beside a straight friction are more."""
+        """The axis with the identified mechanics and its known effects; identified terms become effects too."""
         mass, viscous, coulomb, offset = (float(f"{x:.10g}") for x in self.baseline())
         data = self.axis.to_dict()
-        found = identified_effects(self.fitted, self._determined("the axis"))
-        rounded = [{k: x if k == "kind" else float(f"{x:.10g}") for k, x in one.items()} for one in found]
+        tables = identified_effects(self.fitted, self._determined("the axis"))
+        rounded = [{k: x if k == "kind" else float(f"{x:.10g}") for k, x in effect.items()} for effect in tables]
         data["effects"] = [*rounded, *data.get("effects", [])]
         data["name"] = name or self.axis.name
         data["mechanics"] = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}
@@ -221,7 +221,7 @@ class Identification:
             ) from error
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's ``identify --json``, and what stands beside it."""
+        """The contract's ``identify --json``, with some more keys."""
         return {
             "record": self.record,
             "sha256": self.sha256,
@@ -247,7 +247,7 @@ class Identification:
 
     def _determined(self, purpose: str) -> dict[str, float]:
         """Every parameter as a number; :class:`AxisError` names those that the record does not determine."""
-        values = {name: one.value for name, one in self.parameters.items() if one.value is not None}
+        values = {name: estimate.value for name, estimate in self.parameters.items() if estimate.value is not None}
         missing = [name for name in self.parameters if name not in values]
         if missing:
             raise AxisError(
