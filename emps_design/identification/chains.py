@@ -1,4 +1,4 @@
-"""From a record to motion and force that were filtered alike: three chains, each says what it does to the signals."""
+"""Filter chains: from a record to equally filtered motion and force. Three chains, each described in its text."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from emps_design.records import Record
 REPORT_CUTOFF = 100.0  # Hz, five times the 20 Hz band of interest of the 2019 report
 REPORT_DROPPED = 49  # first samples, spoilt by the ends of filter and differences
 FEWEST_ROWS = 160  # away from rest, eight in a period of the cut-off, for a regression that leaves rest out
-LONG = 1_000_000  # samples from which on rows are kept no closer than they have to be
+LONG = 1_000_000  # samples: longer records keep as few rows as possible
 
 
 def report_chain(record: Record, force_gain: float, cutoff_hz: float | None = None) -> Filtered:
-    """The chain of the 2019 report: what its tables were made with.
+    """The chain of the 2019 report, which its tables were computed with.
 
     Position low-passed at 100 Hz (4th order, forwards and backwards), central differences twice, first 49 samples
-    dropped, columns and raw force decimated by 10. It sees the hold as half a sample of delay.
+    dropped, columns and raw force decimated by 10. The hold is not modelled: it acts as half a sample of delay.
     """
     if cutoff_hz is None:
         if 0.5 / record.period <= REPORT_CUTOFF:
@@ -106,14 +106,14 @@ def _decimating(
     """The chains that drop the first samples and decimate every column."""
     kept = slice(REPORT_DROPPED, None)
     q, v, a = (signal[kept] for signal in motion)
-    seen = Motion(record.t[kept], q, v, a, np.zeros(len(q)), record.period, force_gain=force_gain)
+    kept_motion = Motion(record.t[kept], q, v, a, np.zeros(len(q)), record.period, force_gain=force_gain)
     rows = decimated_rows(len(q))
     band = 0.8 * 0.5 / (DECIMATION * record.period)
     band = band if cutoff_hz is None else min(cutoff_hz, band)
     return Filtered(
         chain=chain,
-        motion=seen,
-        t=seen.t[rows],
+        motion=kept_motion,
+        t=kept_motion.t[rows],
         force=force,
         f_ext=f_ext,
         reduce=decimate,
@@ -130,18 +130,17 @@ def _decimating(
 def hold_chain(
     record: Record, force_gain: float, cutoff_hz: float | None = None, fewest_rows: int = FEWEST_ROWS
 ) -> Filtered:
-    """This package's chain: the hold modelled, one zero-phase low-pass on motion and force, decimation without more.
+    """This package's chain: the hold modelled, the same zero-phase low-pass on motion and force, then decimation.
 
-    Rows near rest are left out: friction at rest is any force up to the break-away. So is an end at which the axis
-    accelerates, beyond which the filters of motion and force go on differently.
-    ``cutoff_hz`` [Hz] defaults to the one :func:`emps_design.identification.inverse_model.chosen_cutoff` finds in the
-    data.
+    Rows near rest are left out, for friction at rest is any force up to the break-away force. So are the ends of a
+    record that accelerate there, for the filters of motion and force extrapolate differently.
+    ``cutoff_hz`` [Hz] defaults to :func:`emps_design.identification.inverse_model.chosen_cutoff` of the record.
     Raises :class:`RecordError` where fewer than ``fewest_rows`` are left.
     """
     if cutoff_hz is None:
         cutoff_hz = chosen_cutoff(record)
-    # One sample per half period of four times the cut-off: what is left above it is under 2e-5 of the amplitude. In a
-    # record whose rows would fill the memory of three times: under 2e-4.
+    # Two samples per period of four times the cut-off, above which under 2e-5 of the amplitude is left. Of three times
+    # the cut-off in long records, to save memory: under 2e-4.
     often = 4.0 if len(record) <= LONG else 3.0
     factor = max(1, int(1.0 / (often * share_of_nyquist(cutoff_hz, record.period))))
     edge = int(1.0 / (cutoff_hz * record.period))
@@ -152,8 +151,8 @@ def hold_chain(
 
     force = reduce(held_force(record, force_gain, cutoff_hz)).copy()
     f_ext = None if record.f_ext is None else reduce(low_pass(record.f_ext, cutoff_hz, record.period)).copy()
-    seen = replace(motion(record, cutoff_hz), force_gain=force_gain)
-    used = reduce(away_from(at_rest(record), cutoff_hz, record.period) & known(record, seen.a, cutoff_hz))
+    filtered_motion = replace(motion(record, cutoff_hz), force_gain=force_gain)
+    used = reduce(away_from(at_rest(record), cutoff_hz, record.period) & known(record, filtered_motion.a, cutoff_hz))
     if int(used.sum()) < fewest_rows:
         raise RecordError(
             f"{record.name}: {int(used.sum())} rows away from rest at a cut-off of {cutoff_hz:g} Hz, expected at least "
@@ -161,7 +160,7 @@ def hold_chain(
         )
     return Filtered(
         chain="hold",
-        motion=seen,
+        motion=filtered_motion,
         t=reduce(record.t),
         force=force,
         f_ext=f_ext,

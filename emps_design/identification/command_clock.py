@@ -1,9 +1,9 @@
-"""By how much the command of a record was logged beside its motion.
+"""Time shift between the logged command of a record and its motion.
 
-A drive's own record holds a command over the period that follows it. A log that is slower than the drive's loop has
-instants of both, and the mean over a period about such an instant is nearer to it by half a sample; and either of them
-may come a sample later than the other. So the command is moved to where the forces along the motion leave least, away
-from rests and reversals. Less than two samples tell a drive that is late from none of the log's.
+A drive's own record holds a command over the period that follows it. A log that is slower than the drive's loop holds
+samples of both, so that the mean over a period is half a sample nearer; and either signal may be logged a sample late.
+The shift is the one at which a model of the forces along the motion leaves the smallest residual, away from rests and
+reversals. A shift below two samples cannot be told from a delay of the drive.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from emps_design.records import Record
 
 FARTHEST = 2  # samples
 STEP = 0.1  # samples
-NEAR = 2  # steps to either side, between which what is left is a parabola
-NOT_TOLD = 0.5  # samples, by which instants and means differ
-BEND = int(np.argmin(np.abs(np.subtract(POWERS, 0.5))))  # of the powers, that stands for all friction that bends
-SURE = 3.0  # standard deviations of a shift, by which it differs from none
+NEAR = 2  # steps to either side, between which the squares of the residual follow a parabola
+UNKNOWN = 0.5  # samples, by which sampled values and means differ: deviation of a shift that is not determined
+BEND = int(np.argmin(np.abs(np.subtract(POWERS, 0.5))))  # index of the exponent that stands for all bent friction
+SURE = 3.0  # standard deviations from zero of a significant shift
 
 
 class CommandLag(NamedTuple):
-    """By how many ``samples`` a command comes after what the motion answers to (negative: before), and its deviation.
+    """Delay of the logged command against the motion in ``samples`` (negative: early), and its standard deviation.
 
-    ``samples`` is 0 where the record does not tell it from that; the deviation is then what it leaves open.
+    ``samples`` is 0 where the delay is not significant; ``std`` then is the remaining uncertainty.
     """
 
     samples: float
@@ -39,10 +39,10 @@ class CommandLag(NamedTuple):
 
 
 def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> CommandLag:
-    """By how many samples the command of ``record`` was logged beside its motion.
+    """Delay of the command of ``record`` against its motion.
 
-    Judged by what mass, ``friction``, the terms that ``axis`` can have and a bend of the friction leave below
-    ``cutoff`` [Hz]. Not told where the best lies :data:`FARTHEST` samples off, or leaves less by chance only.
+    The delay minimises the residual below ``cutoff`` [Hz] of a model of mass, ``friction``, the terms possible on
+    ``axis`` and a bent friction. It is 0 where the minimum lies :data:`FARTHEST` samples off or is not significant.
 
     >>> t = np.arange(4000) * 0.01
     >>> q = np.sin(t) + 0.3 * np.sin(2.7 * t)
@@ -57,26 +57,26 @@ def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> C
     whole = range(-FARTHEST - 1, FARTHEST + 2)
     strokes = [Strokes(filter_record(moved(record, shift), axis, "hold", cutoff), friction) for shift in whole]
     if strokes[0].count < FEWEST_STROKES:
-        return CommandLag(0.0, NOT_TOLD)
-    # Filter and regression are linear, so what is left at a shift between two is made of theirs as the command is.
-    left = np.array([one.residual(terms, [one.bent[:, BEND]]) for one in strokes])
+        return CommandLag(0.0, UNKNOWN)
+    # Filter and regression are linear, so residuals between two shifts are interpolated as the command is.
+    residuals = np.array([shifted.residual(terms, [shifted.bent[:, BEND]]) for shifted in strokes])
     shifts = np.round(STEP * np.arange(-round(FARTHEST / STEP), round(FARTHEST / STEP) + 1), 6)
     places = np.minimum(np.floor(shifts).astype(int), FARTHEST - 1)
-    parts = [left[place + FARTHEST : place + FARTHEST + 4] for place in places]
+    parts = [residuals[place + FARTHEST : place + FARTHEST + 4] for place in places]
     errors = np.array([between(shift - n) @ part for shift, n, part in zip(shifts, places, parts, strict=True)]) ** 2
     total, best = errors.sum(axis=1), int(np.argmin(errors.sum(axis=1)))
-    noise = float(total[best]) / errors.shape[1]  # the rows are as far apart as the filter lets them differ
+    noise = float(total[best]) / errors.shape[1]  # the rows are as far apart as the filter resolves
     around = [best - NEAR, best, best + NEAR]
     if around[0] < 0 or around[2] >= len(shifts):
-        return CommandLag(0.0, NOT_TOLD)
+        return CommandLag(0.0, UNKNOWN)
     curvature = float(np.array([1.0, -2.0, 1.0]) @ total[around]) / (2.0 * (NEAR * STEP) ** 2)
-    std = float(np.clip(np.sqrt(noise / max(curvature, 1e-300)), 0.5 * STEP, NOT_TOLD))
-    told = total[len(shifts) // 2] - total[best] > SURE**2 * noise
-    return CommandLag(float(shifts[best]) if told else 0.0, std if told else NOT_TOLD)
+    std = float(np.clip(np.sqrt(noise / max(curvature, 1e-300)), 0.5 * STEP, UNKNOWN))
+    significant = total[len(shifts) // 2] - total[best] > SURE**2 * noise
+    return CommandLag(float(shifts[best]) if significant else 0.0, std if significant else UNKNOWN)
 
 
 def moved(record: Record, samples: float) -> Record:
-    """``record`` with its command ``samples`` earlier, by a cubic through four of them.
+    """``record`` with its command ``samples`` earlier, by cubic interpolation.
 
     >>> ramp = np.arange(6.0)
     >>> moved(Record(t=ramp, q_ref=ramp, q=ramp, u=ramp, period=1.0), 0.5).u[1:4].tolist()
@@ -85,14 +85,14 @@ def moved(record: Record, samples: float) -> Record:
     if samples == 0.0:
         return record
     whole, places = math.floor(samples), np.arange(len(record))
-    taken = [record.u[np.clip(places + whole + one, 0, len(record) - 1)] for one in (-1, 0, 1, 2)]
+    taken = [record.u[np.clip(places + whole + offset, 0, len(record) - 1)] for offset in (-1, 0, 1, 2)]
     return replace(record, u=between(samples - whole) @ np.array(taken))
 
 
 def between(share: float) -> np.ndarray:
-    """Weights (4,) of the samples at -1, 0, 1 and 2 of the cubic through them, at ``share`` of a sample (Lagrange).
+    """Weights (4,) of the samples at -1, 0, 1 and 2 for cubic (Lagrange) interpolation at ``share`` of a sample.
 
-    A straight line would take a tenth of what is fast, and so of an inertia.
+    Linear interpolation would attenuate fast motion, and so the inertia, by a tenth.
 
     >>> between(0.5).tolist()
     [-0.0625, 0.5625, 0.5625, -0.0625]

@@ -1,8 +1,8 @@
-"""Instrumental variables (IDIM-IV), and the test that says when least squares is biased.
+"""Instrumental variables (IDIM-IV), and the test for the bias of least squares.
 
-In a closed loop the noise of the force moves the carriage, so it is in the columns of W too, and least squares is
-biased. The instruments are the same columns of a simulation from the reference alone: they move with the motion and
-know nothing of the noise (A. Janot, P.-O. Vandanjon, M. Gautier, 2014).
+In a closed loop the force noise moves the carriage, so it enters the columns of W and least squares is biased. The
+instruments are the same columns from a simulation driven by the reference alone: they are correlated with the motion,
+not with the noise (A. Janot, P.-O. Vandanjon, M. Gautier, 2014).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from emps_design.laws import NONE
 from emps_design.records import Record
 
 ITERATIONS = 8
-WEAK_INSTRUMENT = 0.1  # share of a column that its instrument explains, below which it says nothing
+WEAK_INSTRUMENT = 0.1  # share of a column explained by its instrument, below which the instrument is useless
 SETTLED = 0.02  # of a standard deviation: an iteration that changes less is the last
 
 
@@ -35,9 +35,9 @@ SETTLED = 0.02  # of a standard deviation: an iteration that changes less is the
 class HausmanTest:
     """Durbin-Wu-Hausman test: does the part of W that the instruments miss explain the residual?
 
-    ``statistic`` is chi-squared with ``degrees`` of freedom where least squares is unbiased, with a covariance that
-    allows for the correlation of the residual. ``shift`` is the largest difference between the two estimates, in
-    standard deviations: a bias that is certain may still be too small to matter.
+    ``statistic`` is chi-squared with ``degrees`` of freedom where least squares is unbiased; its covariance allows for
+    a correlated residual. ``shift`` is the largest difference between the two estimates, in standard deviations: a
+    significant bias may still be too small to matter.
     """
 
     statistic: float
@@ -52,7 +52,7 @@ class HausmanTest:
 
     @property
     def matters(self) -> bool:
-        """Whether the bias is certain and moves a parameter by half a standard deviation or more."""
+        """Whether the bias is significant and at least half a standard deviation of a parameter."""
         return self.biased and self.shift >= 0.5
 
     def to_dict(self) -> dict[str, Any]:
@@ -69,32 +69,32 @@ class HausmanTest:
 
 @dataclass(frozen=True)
 class InstrumentalFit:
-    """The fit by instruments ``Z`` (n, p) of a simulation ``led`` by the reference, beside least squares ``start``.
+    """The fit by instruments ``Z`` (n, p) from the record ``simulated`` from the reference; ``start``: least squares.
 
-    The test costs little; deviations and intervals are made by :meth:`identification` alone.
+    The test costs little; deviations and intervals are computed by :meth:`identification` only.
     """
 
     problem: Regression
     start: LeastSquares
     fit: LeastSquares
     Z: np.ndarray
-    led: Record
+    simulated: Record
     test: HausmanTest
 
     def identification(self) -> Identification:
-        """The fit with its statistics, and what the encoder's steps and other cut-offs do to it."""
+        """The fit with its statistics, and its sensitivity to the encoder's steps and to the cut-off."""
         problem, fit, Z = self.problem, self.fit, self.Z
         record, axis, model = problem.record, problem.axis, problem.model
 
-        def of_steps(seen: Record, exact: Record) -> np.ndarray:
-            again = problem.alike(seen)
+        def of_steps(rounded: Record, exact: Record) -> np.ndarray:
+            again = problem.alike(rounded)
             return _solved(_columns(exact, again), again).value
 
         def at(frequency: float) -> Estimated:
             other = Regression.of(record, axis, model, cutoff=frequency)
-            columns = _columns(self.led, other)
-            found = _solved(columns, other)
-            return Estimated(other.parameters(found.value), residual_statistics(other, found, columns)[0].std)
+            columns = _columns(self.simulated, other)
+            shifted = _solved(columns, other)
+            return Estimated(other.parameters(shifted.value), residual_statistics(other, shifted, columns)[0].std)
 
         own = Estimated(problem.parameters(fit.value), residual_statistics(problem, fit, Z)[0].std)
         errors = Errors(
@@ -123,8 +123,8 @@ def identify_with_instruments(
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = identify_with_instruments(synthetic_record(axis, laps=1), axis)
-    >>> round(found.parameters["mass"].value, 0), found.extra["hausman_test"]["bias_matters"]
+    >>> identification = identify_with_instruments(synthetic_record(axis, laps=1), axis)
+    >>> round(identification.parameters["mass"].value, 0), identification.extra["hausman_test"]["bias_matters"]
     (95.0, False)
     """
     return solve_with_instruments(record, axis, model, cutoff, external_force).identification()
@@ -133,7 +133,7 @@ def identify_with_instruments(
 def solve_with_instruments(
     record: Record, axis: Axis, model: str | Model, cutoff: float | None, external_force: str
 ) -> InstrumentalFit:
-    """Iterate simulation and instruments until they settle; arguments as of :func:`identify_with_instruments`."""
+    """Iterate simulation and instruments until they converge; arguments as in :func:`identify_with_instruments`."""
     if axis.controller.kind == NONE:
         raise AxisError(f"{axis.name}: instruments need the controller of the record; give [controller] in the axis")
     axis = axis.supplied_by(record)
@@ -142,41 +142,41 @@ def solve_with_instruments(
     problem = Regression.of(record, axis, model, cutoff=cutoff)
     model, start = problem.model, problem.solved()
     spread, _ = residual_statistics(problem, start)
-    value, fit, Z, led = start.value, start, problem.W, record
+    value, fit, Z, simulated = start.value, start, problem.W, record
     for _ in range(ITERATIONS):
-        led = _led(record, axis, model, value)
-        Z = _columns(led, problem)
+        simulated = _simulated_record(record, axis, model, value)
+        Z = _columns(simulated, problem)
         fit = _solved(Z, problem)
         change = np.max(np.abs(fit.value - value) / spread.std)
         value = fit.value
         if change < SETTLED:
             break
     test = hausman_test(problem, Z, float(np.max(np.abs(value - start.value) / spread.std)))
-    return InstrumentalFit(problem, start, fit, Z, led, test)
+    return InstrumentalFit(problem, start, fit, Z, simulated, test)
 
 
-def _led(record: Record, axis: Axis, model: Model, value: np.ndarray) -> Record:
-    """The record that the axis with parameters ``value`` (p,) makes of the reference alone."""
+def _simulated_record(record: Record, axis: Axis, model: Model, value: np.ndarray) -> Record:
+    """``record`` simulated from its reference alone, with the solution ``value`` (p,)."""
     run = simulate(record, axis, model, value)
     return replace(record, q=run.position, u=run.u)
 
 
-def _columns(led: Record, problem: Regression) -> np.ndarray:
-    """Columns (n, p) of a record ``led`` by the reference, filtered as the ``problem`` is."""
-    Z, _ = regression(hold_chain(led, problem.axis.drive.gain, problem.filtered.cutoff_hz), problem.model)
+def _columns(simulated: Record, problem: Regression) -> np.ndarray:
+    """Columns (n, p) of a record ``simulated`` from the reference, filtered as in ``problem``."""
+    Z, _ = regression(hold_chain(simulated, problem.axis.drive.gain, problem.filtered.cutoff_hz), problem.model)
     return Z * problem.used[:, None]
 
 
 def hausman_test(problem: Regression, Z: np.ndarray, shift: float) -> HausmanTest:
-    """Durbin-Wu-Hausman test by the augmented regression: W with what of it the instruments Z (n, p) do not explain.
+    """Durbin-Wu-Hausman test by the augmented regression: W and the part of it that instruments Z (n, p) miss.
 
-    ``shift`` is what the two estimates differ by, in standard deviations.
+    ``shift`` is the largest difference between the two estimates, in standard deviations.
     """
     from scipy.stats import chi2
 
-    # Rows as far apart as the band resolves: what is nonzero between them alone is no evidence.
+    # Only rows as far apart as the band resolves: those between them are no independent evidence.
     steps = problem.filtered.resolved_steps
-    W, Y, Z, used = (one[::steps] for one in (problem.W, problem.Y, Z, problem.used))
+    W, Y, Z, used = (array[::steps] for array in (problem.W, problem.Y, Z, problem.used))
     basis = np.linalg.qr(Z)[0]
     missed = W - basis @ (basis.T @ W)
     kept = np.linalg.norm(missed, axis=0) > 1e-3 * np.linalg.norm(W, axis=0)

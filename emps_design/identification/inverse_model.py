@@ -3,15 +3,13 @@
 ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (symmetric) or with both friction parameters by sign of the
 velocity (asymmetric). Columns are built at the record's rate and then brought to the regression's rate one by one.
 
-A record after one of the chains of filters, ready for a regression.
+:class:`Filtered` is a record after its filter chain, ready for a regression.
 
-The cut-off of the filter, chosen from the record: as low as its strokes allow.
-
-A zero-phase filter spreads friction at rest over a period and a half of its cut-off, and what it spreads over is left
-out: a low cut-off costs rows, and the acceleration beside the reversals first. A high one lets in the noise of the
-encoder, which the second derivative multiplies. So the lowest that keeps nearly all of the motion is chosen, or a
-lower one where that noise would be felt. It depends on motion and encoder, not on friction or clock; on the force only
-where noise would hide the mass.
+:func:`chosen_cutoff` takes the cut-off from the record. A zero-phase filter smears friction at rest over one and a half
+periods of its cut-off, and these rows are left out: a low cut-off costs rows, first those with acceleration beside the
+reversals. A high cut-off passes encoder noise, which the second derivative amplifies. So the lowest cut-off that keeps
+nearly all of the motion is chosen, or a lower one where the noise would matter. The choice depends on motion and
+encoder, not on friction or sampling; on the force only where noise would hide the mass.
 """
 
 from __future__ import annotations
@@ -42,19 +40,19 @@ from emps_design.records import Record
 
 FEWEST_STEPS = 100  # away from rest, for statistics that leave rest out
 
-# Columns of unit length whose smallest singular value is below this share of the largest cannot be told apart.
+# Columns of unit length are dependent where their smallest singular value is below this share of the largest.
 RANK_TOLERANCE = 1e-7
-NO_FORCE = 1e-6  # of the residual: what a filter lets ring on of a motor that was switched off
+NO_FORCE = 1e-6  # of the residual: a smaller force is the filter's ringing after the motor was switched off
 
-STEP = 2.0**0.25  # between two cut-offs that are tried
-FEWEST_PERIODS = 20  # of the lowest that is tried, in the record
+STEP = 2.0**0.25  # ratio of two cut-offs that are tried
+FEWEST_PERIODS = 20  # of the lowest cut-off, in the record
 # Shares that a cut-off keeps: of the rows that are not slow, and of the acceleration's power.
 HARDLY, LEAST, ENOUGH = (0.1, 0.05), (0.75, 0.5), (0.9, 0.8)
-NOISE = 2e-4  # of the acceleration's power, by which the encoder's noise may pull the mass down
-QUIET, NOISY = 0.01, 0.03  # of the mass, that noise may take away at the cut-off that judges, and at the one chosen
+NOISE = 2e-4  # of the acceleration's power: encoder noise that may bias the mass
+QUIET, NOISY = 0.01, 0.03  # of the mass: bias by noise at the reference cut-off, and at the chosen one
 CHANCE = 0.5  # of the mass's deviation, up to which noise does not matter
 FEWEST_INDEPENDENT = 80  # rows away from rest, two in a period of the cut-off
-LONGEST = 120_000  # samples that are looked at
+LONGEST = 120_000  # samples of a record that the choice looks at
 RULE = (
     f"lowest cut-off with {100 * ENOUGH[0]:.0f} % of the rows that are not slow and {100 * ENOUGH[1]:.0f} % of the "
     f"acceleration's power away from rest, or, where the encoder is noisier than {100 * NOISE:g} % of that power, "
@@ -65,13 +63,12 @@ RULE = (
 
 @dataclass(frozen=True)
 class Filtered:
-    """A record after its chain of filters.
+    """A record after its filter chain.
 
-    ``motion`` has one row for each sample of the record that was kept (none once W is made of it), and ``reduce``
-    brings such a column to the rate of the regression. At that rate are ``t`` [s], ``force`` [N] and ``f_ext`` [N],
-    which rows are ``used``, and which lie ``away`` from rest; ``period`` [s] is the time between two rows.
-    ``cutoff_hz`` [Hz] is the low-pass of the position (None: the chain has none), ``band_hz`` [Hz] what the regression
-    sees.
+    ``motion`` has one row for each kept sample of the record (none once W is computed); ``reduce`` brings such a column
+    to the rate of the regression. At that rate are ``t`` [s], ``force`` [N], ``f_ext`` [N], and the masks ``used``, for
+    rows that count, and ``away``, for rows away from rest; ``period`` [s] is the time between two rows. ``cutoff_hz``
+    [Hz] is the low-pass of the position (None: the chain has none), ``band_hz`` [Hz] the bandwidth of the regression.
     """
 
     chain: str
@@ -89,18 +86,18 @@ class Filtered:
     text: str
 
     def without_motion(self) -> Filtered:
-        """The same with no row of motion: three columns of the whole record, which nothing needs once W is made."""
+        """A copy without the motion, three columns of the whole record, which are not needed once W is computed."""
         none = np.zeros(0)
         return replace(self, motion=Motion(none, none, none, none, none, self.motion.period))
 
     @property
     def resolved_steps(self) -> int:
-        """Rows between two that the filter's band lets differ: half a period of its upper end."""
+        """Rows in half a period of the band's upper end: the least distance of independent rows."""
         return max(1, round(0.5 / (self.band_hz * self.period)))
 
     @property
     def independent_rows(self) -> tuple[int, np.ndarray]:
-        """Rows between two that the band resolves, and which (n,) take part in the statistics: those away from rest."""
+        """Distance of independent rows, and the mask (n,) of those that count in the statistics: away from rest."""
         steps, away = self.resolved_steps, self.used & self.away
         return steps, away if int(away[::steps].sum()) >= FEWEST_STEPS else self.used
 
@@ -121,12 +118,12 @@ def with_predicted_force(motion: Motion, baseline: np.ndarray) -> Motion:
 
 
 def regression(filtered: Filtered, model: str | Model) -> tuple[np.ndarray, np.ndarray]:
-    """W (n, p) and Y (n,) of (5) at the regression's rate; Y holds the external force where one was measured (21).
+    """W (n, p) and Y (n,) of (5) at the regression's rate; Y includes a measured external force (21).
 
-    Rows that take no part (``filtered.used``) are zero, so that the rest keep their distance in time.
+    Unused rows (``filtered.used``) are zero, so that the others keep their distance in time.
     """
     model = Model.of(model)
-    # By columns: a long record's memory is taken when a column is written.
+    # Column by column: memory is allocated when a column is written.
     W = np.empty((len(filtered.used), len(model.names)), order="F")
     for i, column in enumerate(model.columns(filtered.motion)):
         np.multiply(filtered.reduce(column), filtered.used, out=W[:, i])
@@ -139,8 +136,7 @@ def regression(filtered: Filtered, model: str | Model) -> tuple[np.ndarray, np.n
 class LeastSquares:
     """Least-squares solution of Y = W X + e, with the statistics of (13)-(16).
 
-    ``value`` and ``std`` (p,), ``covariance`` (p, p) by (15) as it must read, ``s^2 (W^T W)^-1``;
-    ``residual`` (n,) [N].
+    ``value`` and ``std`` (p,), ``covariance`` (p, p) by (15), corrected to ``s^2 (W^T W)^-1``; ``residual`` (n,) [N].
     """
 
     names: tuple[str, ...]
@@ -156,7 +152,7 @@ class LeastSquares:
         cls, names: tuple[str, ...], value: np.ndarray, spread: np.ndarray, residual: np.ndarray, force: np.ndarray,
         rows: int, condition_number: float,
     ) -> LeastSquares:  # fmt: skip
-        """The solution ``value`` (p,) from so many ``rows`` of ``force`` (n,); ``spread`` (p, p) times (14) is (15)."""
+        """The solution ``value`` (p,) from ``rows`` rows of ``force`` (n,); ``spread`` (p, p) times (14) is (15)."""
         square = float(residual @ residual)
         return cls(
             names, value, square / (rows - len(names)) * spread, residual, float(np.sqrt(square / rows)),
@@ -170,9 +166,9 @@ class LeastSquares:
 
 
 def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np.ndarray | None = None) -> LeastSquares:
-    """Solve (17) by least squares; :class:`RankError` names columns that cannot be told apart.
+    """Solve (17) by least squares; :class:`RankError` names linearly dependent columns.
 
-    ``used`` (n,) counts the rows that take part, the others being zero.
+    ``used`` (n,) marks the rows that count; the others are zero.
 
     >>> fit = least_squares(np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]), np.array([1.0, 3.0, 5.0]), ("a", "b"))
     >>> fit.value.round(6).tolist()
@@ -190,17 +186,17 @@ def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np
 
 
 def _triangle(W: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """Triangular factor of ``[W Y]``, a block of rows at a time: a long record's Q is never in memory."""
+    """Triangular factor of ``[W Y]``, block by block of rows, so that Q is never in memory."""
     r = np.zeros((0, W.shape[1] + 1))
     for start in range(0, len(W), BLOCK):
         block = slice(start, start + BLOCK)
-        # An array by this mode; numpy's annotations have what the other modes return.
+        # An array in this mode; numpy's annotation covers the other modes too.
         r = np.asarray(np.linalg.qr(np.vstack([r, np.column_stack([W[block], Y[block]])]), mode="r"))
     return r
 
 
 def relative_error(residual: np.ndarray, force: np.ndarray) -> float:
-    """100 ||residual|| / ||force|| [%]; NaN where the force is nothing beside the residual, as of a motor at rest.
+    """100 ||residual|| / ||force|| [%]; NaN where the force is negligible beside the residual (motor off).
 
     >>> relative_error(np.ones(4), np.full(4, 2.0)), relative_error(np.ones(4), np.full(4, 1e-60))
     (50.0, nan)
@@ -210,7 +206,7 @@ def relative_error(residual: np.ndarray, force: np.ndarray) -> float:
 
 
 def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
-    """Raise :class:`RankError` naming the columns of ``W``, or of its triangular factor, that a relation ties together.
+    """Raise :class:`RankError`, which names the linearly dependent columns of ``W`` or of its triangular factor.
 
     >>> W = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, 1.0]])
     >>> check_rank(W, ("coulomb", "constant_force"))  # doctest: +ELLIPSIS
@@ -236,10 +232,10 @@ def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
 
 
 def chosen_cutoff(record: Record) -> float:
-    """The lowest cut-off [Hz] that keeps :data:`ENOUGH` of the motion; lower where the encoder's noise asks for it.
+    """The lowest cut-off [Hz] that keeps :data:`ENOUGH` of the motion; lower where encoder noise requires it.
 
-    No lower than keeps :data:`LEAST` of it, unless noise would take more than :data:`NOISY` of the mass away. At most a
-    fifth of the sampling frequency.
+    It keeps at least :data:`LEAST` of the motion, unless noise would bias the mass by more than :data:`NOISY`. At most
+    a fifth of the sampling frequency.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -253,7 +249,7 @@ def chosen_cutoff(record: Record) -> float:
 
     @cache  # the halvings for the two shares meet at the same cut-offs
     def kept(index: int) -> tuple[float, float, float]:
-        """Shares of rows that are not slow and of the acceleration's power, away from rest; periods in these rows."""
+        """Away from rest: share of the rows that are not slow, share of the acceleration's power, number of periods."""
         power = motion(part, float(tried[index])).a
         there = known(part, power, tried[index])
         np.square(power, out=power)
@@ -267,7 +263,7 @@ def chosen_cutoff(record: Record) -> float:
         rows, inside, periods = kept(index)
         return periods >= FEWEST_PERIODS and rows >= shares[0] and inside >= shares[1]
 
-    # Both shares grow with the cut-off: the first that is enough, by halving.
+    # Both shares grow with the cut-off, so the first sufficient one is found by bisection.
     least, enough = (
         float(tried[bisect_left(range(len(tried) - 1), True, key=partial(keeps, shares=shares))])
         for shares in (LEAST, ENOUGH)
@@ -275,19 +271,21 @@ def chosen_cutoff(record: Record) -> float:
     power = float(np.mean(motion(part, least).a ** 2))
     chosen = float(np.clip(_quiet(part, power), least, enough))
 
-    # What noise hides is no loss: lower, until noise does less than chance, or as low as both together do least.
-    seen = [_mass_at(part, rest, chosen)]
+    # Motion hidden by noise is no loss: lower, until noise matters less than chance, or to where both matter least.
+    masses = [_mass_at(part, rest, chosen)]
     index = bisect_left(tried, chosen, hi=len(tried) - 1)
-    while seen[-1].noise > max(QUIET, CHANCE * seen[-1].chance) and index > 0 and keeps(index - 1, HARDLY):
+    while masses[-1].noise > max(QUIET, CHANCE * masses[-1].chance) and index > 0 and keeps(index - 1, HARDLY):
         index -= 1
-        seen.append(_mass_at(part, rest, float(tried[index])))
-    surest = min(seen, key=lambda one: float(np.hypot(one.noise, one.chance)))
-    taken = next(one for one in seen if min(one.noise, abs(one.mass / surest.mass - 1.0)) <= NOISY)
+        masses.append(_mass_at(part, rest, float(tried[index])))
+    surest = min(masses, key=lambda estimate: float(np.hypot(estimate.noise, estimate.chance)))
+    taken = next(
+        estimate for estimate in masses if min(estimate.noise, abs(estimate.mass / surest.mass - 1.0)) <= NOISY
+    )
     return float(f"{taken.cutoff:.3g}")
 
 
 class _Mass(NamedTuple):
-    """The ``mass`` by least squares at a ``cutoff`` [Hz], what share of it noise takes away, and ``chance`` may."""
+    """The ``mass`` by least squares at a ``cutoff`` [Hz]; its relative bias by ``noise`` and relative deviation."""
 
     cutoff: float
     mass: float
@@ -296,9 +294,9 @@ class _Mass(NamedTuple):
 
 
 def _mass_at(record: Record, rest: np.ndarray, cutoff_hz: float) -> _Mass:
-    """The mass at this cut-off, in the units of the command; without noise where too little of the record is left.
+    """The mass at this cut-off, in units of the command; with infinite ``chance`` where too few rows are left.
 
-    Noise in a column takes its parameter down by the share of it in what the other columns leave of that one.
+    Noise in a column lowers its parameter by its share in the part of the column that the others do not explain.
     """
     rows = away_from(rest, cutoff_hz, record.period)
     independent = 2.0 * cutoff_hz * record.period * int(rows.sum())
@@ -306,21 +304,21 @@ def _mass_at(record: Record, rest: np.ndarray, cutoff_hz: float) -> _Mass:
         return _Mass(cutoff_hz, 1.0, 0.0, np.inf)
     W = baseline_columns(motion(record, cutoff_hz))[rows]
     force = low_pass(held(record.u), cutoff_hz, record.period)[rows]
-    (mass, *_), left, rank, _ = np.linalg.lstsq(W, force, rcond=None)
-    if rank < W.shape[1] or not mass * left.sum():
+    (mass, *_), squares, rank, _ = np.linalg.lstsq(W, force, rcond=None)
+    if rank < W.shape[1] or not mass * squares.sum():
         return _Mass(cutoff_hz, 1.0, 0.0, np.inf)
     own = 1.0 / float(np.linalg.inv(W.T @ W)[0, 0]) / len(W)
-    chance = float(np.sqrt(left.sum() / len(W) / (independent * own))) / abs(float(mass))
+    chance = float(np.sqrt(squares.sum() / len(W) / (independent * own))) / abs(float(mass))
     return _Mass(cutoff_hz, float(mass), acceleration_noise(record, cutoff_hz) / own, chance)
 
 
 def _quiet(record: Record, power: float) -> float:
-    """The cut-off [Hz] up to which the encoder's noise is :data:`NOISE` of the acceleration's ``power`` [m^2/s^4]."""
+    """The cut-off [Hz] at which encoder noise reaches :data:`NOISE` of the acceleration's ``power`` [m^2/s^4]."""
     return float((NOISE * power / max(acceleration_noise(record, 1.0), 1e-300)) ** 0.2)
 
 
 def acceleration_noise(record: Record, cutoff_hz: float) -> float:
-    """Power of the encoder's noise in the acceleration below ``cutoff_hz`` [Hz], [m^2/s^4].
+    """Power of encoder noise in the acceleration below ``cutoff_hz`` [Hz], [m^2/s^4].
 
     White noise of variance s^2 has the power 2 s^2 T (2 pi)^4 f^5 / 5 in the second derivative below f.
     """
@@ -328,9 +326,9 @@ def acceleration_noise(record: Record, cutoff_hz: float) -> float:
 
 
 def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> dict[str, Any]:
-    """What share of the force's power the inverse ``model`` explains, in bands of a third of an octave; for reading.
+    """Share of the force's power that the inverse ``model`` explains, in bands of a third of an octave.
 
-    With the parameters that ``cutoff_hz`` [Hz] gives; the choice and its rule stand beside the curve.
+    The parameters are those at ``cutoff_hz`` [Hz]; the dictionary also holds this cut-off and the rule that chose it.
     """
     from scipy.signal import welch
 
@@ -345,11 +343,11 @@ def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> di
     value = np.linalg.lstsq(W[rows], force[rows], rcond=None)[0] if rows.any() else np.zeros(W.shape[1])
     W, force = balance(top)
     length = min(len(force), int(FEWEST_PERIODS / 2 / lowest / part.period))
-    frequency, left = welch(force - W @ value, 1.0 / part.period, nperseg=length)
+    frequency, residual_power = welch(force - W @ value, 1.0 / part.period, nperseg=length)
     _, whole = welch(force, 1.0 / part.period, nperseg=length)
     centre = np.geomspace(lowest, top, 1 + int(6 * np.log2(top / lowest)))
     bands = [np.abs(np.log2(np.maximum(frequency, 1e-12) / middle)) <= 1 / 6 for middle in centre]
-    explained = [1.0 - float(left[b].sum()) / max(float(whole[b].sum()), 1e-300) for b in bands]
+    explained = [1.0 - float(residual_power[b].sum()) / max(float(whole[b].sum()), 1e-300) for b in bands]
     return {
         "cutoff_hz": cutoff_hz,
         "rule": RULE,
@@ -359,12 +357,12 @@ def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> di
 
 
 def _looked_at(record: Record) -> tuple[Record, float, float]:
-    """The part of ``record`` that is looked at, and the lowest and highest cut-off [Hz] that are tried."""
+    """The part of ``record`` that is used for the choice, and the lowest and highest cut-off [Hz] to try."""
     part = first_part(record)
     top = HIGHEST / part.period
     return part, min(FEWEST_PERIODS / part.duration, 0.5 * top), top
 
 
 def first_part(record: Record) -> Record:
-    """``record``, or so much of a long one as is looked at."""
+    """``record``, or the first :data:`LONGEST` samples of a longer one."""
     return record.part(0, LONGEST, record.name) if len(record) > LONGEST else record

@@ -1,6 +1,6 @@
-"""Observe the external force of a record by every method, and judge it where the force was measured.
+"""Observe the external force of a record by every method, and compare it with a measured force.
 
-How an observer answers the steps of a force that is known.
+Of a force with known steps it also gives delay, rise time and plateau of each method.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ from emps_design.records import Record
 NEAR_AN_EDGE = 0.1  # s, on both sides
 
 OFFLINE_CUTOFF_HZ = 60.0
-ONLINE_SHARE, OFFLINE_SHARE = 0.08, 0.25  # of the sampling rate, up to which a cut-off is by default
+ONLINE_SHARE, OFFLINE_SHARE = 0.08, 0.25  # of the sampling rate: largest default cut-offs
 PARAMETER_UNCERTAINTY = 0.02  # of each parameter where no deviation is known, as in section IV-B
-NOISE_STEP = 0.05  # s apart: what an error changes by over that time counts as noise
+NOISE_STEP = 0.05  # s: changes of the error over this time count as noise
 KALMAN_BANDWIDTH = 2.0  # times the cut-off of the first-order low-pass: about the same delay
-SETTLED = 0.25  # s of the record's start and of its end, at least, that no judgement counts
-FILTER_ENDS = 2.0  # periods of the zero-phase filter's cut-off in which it makes up what lies outside the record
-FORGOTTEN = 7.0  # delays of an on-line observer after which it has forgotten that it started from rest
+SETTLED = 0.25  # s at the start and at the end of a record, at least, that do not count in the errors
+FILTER_ENDS = 2.0  # periods of the zero-phase filter's cut-off in which it extrapolates beyond the record
+FORGOTTEN = 7.0  # delays of an on-line observer after which its initial state no longer matters
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How a method answers the steps of a known force.
+    """Step response of a method to a known force.
 
-    ``delay`` [s] to half of the step and ``rise_time`` [s] from 10 to 90 %, of the mean answer to all edges;
-    ``plateau`` [N] the mean observed height away from edges, ``plateau_error_percent`` against the true one.
+    ``delay`` [s] to half of the step and ``rise_time`` [s] from 10 to 90 % of the mean response to all edges;
+    ``plateau`` [N] is the mean observed height away from edges, ``plateau_error_percent`` its relative error.
     """
 
     edges: int
@@ -70,13 +70,13 @@ class Steps:
 
 
 def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slice | np.ndarray) -> Steps | None:
-    """Answer of ``force`` (n,) [N] to the steps of a square wave ``truth`` (n,) [N]; None where that has no steps.
+    """Response of ``force`` (n,) [N] to the steps of a square wave ``truth`` (n,) [N]; None where that has no steps.
 
-    ``inner`` are the samples that count: away from edges some must be at either height.
+    ``inner`` selects the samples that count; away from edges some must be at either height.
 
     >>> truth = 10.0 * (np.arange(4000) // 500 % 2)
-    >>> found = step_answer(np.roll(truth, 3), truth, 1e-3, slice(250, 3750))
-    >>> found.edges, round(found.delay, 4), round(found.plateau, 1)
+    >>> observation = step_answer(np.roll(truth, 3), truth, 1e-3, slice(250, 3750))
+    >>> observation.edges, round(observation.delay, 4), round(observation.plateau, 1)
     (7, 0.0025, 10.0)
     """
     change = np.diff(truth)
@@ -114,7 +114,7 @@ def step_answer(force: np.ndarray, truth: np.ndarray, period: float, inner: slic
 
 
 def _first_crossing(share: np.ndarray, level: float) -> float:
-    """Index, between samples, at which ``share`` last comes from below ``level`` to above it for good; NaN: never."""
+    """Fractional index from which on ``share`` stays above ``level``; NaN: nowhere."""
     below = np.flatnonzero(share < level)
     if not below.size or below[-1] + 1 >= len(share):
         return float("nan")
@@ -124,12 +124,12 @@ def _first_crossing(share: np.ndarray, level: float) -> float:
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One method on one record: ``force`` (n,) [N], its ``delay`` [s] as designed, and how it did.
+    """One method on one record: ``force`` (n,) [N], its design ``delay`` [s], and its errors.
 
-    ``force`` is NaN outside ``reliable``, from and to [s]: a zero-phase filter makes up what lies beyond both ends, and
-    an on-line observer starts as if at rest. So it is at the ends of each piece of a record with gaps. Errors count
-    from and to ``judged`` [s]: ``rms_error`` [N] is against the force at the same moment, ``rms_error_aligned`` [N]
-    against that of ``delay`` ago.
+    ``force`` is NaN outside the interval ``reliable`` [s], for a zero-phase filter extrapolates at both ends and an
+    on-line observer starts from rest; in a record with gaps this holds for each piece. Errors count within the interval
+    ``judged`` [s]: ``rms_error`` [N] against the force at the same time, ``rms_error_aligned`` [N] against the force
+    ``delay`` earlier.
     """
 
     force: np.ndarray = field(repr=False)
@@ -143,7 +143,7 @@ class MethodResult:
     settings: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's keys, and what stands beside them."""
+        """The contract's keys, and some more."""
         return {
             "rms_error": self.rms_error,
             "rms_error_aligned": self.rms_error_aligned,
@@ -182,8 +182,8 @@ class Observation:
 
     def _repr_html_(self) -> str:
         rows = [
-            (name, one.delay, one.rms_error, one.smallest.value, one.smallest.bound.replace("_", " "))
-            for name, one in self.methods.items()
+            (name, method.delay, method.rms_error, method.smallest.value, method.smallest.bound.replace("_", " "))
+            for name, method in self.methods.items()
         ]
         heads = ("method", "delay [s]", "rms error [N]", "smallest observable force [N]", "set by")
         return table(f"{self.record}: external force observed with {self.axis}", rows, heads)
@@ -199,17 +199,17 @@ def observe(
 ) -> Observation:
     """Observe the external force of ``record`` with the parameters of ``axis``.
 
-    ``cutoff_hz`` [Hz] of the on-line observer (the Kalman one has twice that bandwidth), by default 20 or what the
-    sampling allows; ``offline_cutoff_hz`` [Hz] of the zero-phase filter off-line, 60 likewise; ``parameter_std``
-    standard deviations of mass, viscous, coulomb, offset for the parameter bound (2 % of each where not given). Raises
-    :class:`RecordError` for a record too short for its ends to settle, at least 1 s, and :class:`InputError` for a
-    cut-off that the sampling does not allow.
+    ``cutoff_hz`` [Hz] is the cut-off of the on-line observer, 20 by default or what the sampling allows; the Kalman
+    observer has twice that bandwidth. ``offline_cutoff_hz`` [Hz], 60 likewise, belongs to the zero-phase filter
+    off-line. ``parameter_std`` (4,) holds the standard deviations of mass, viscous, coulomb, offset for the parameter
+    bound (default 2 % of each). Raises :class:`RecordError` for a record that is too short for the observers to settle,
+    at least 1 s, and :class:`InputError` for a cut-off that the sampling does not allow.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = observe(synthetic_record(axis, laps=1), axis)
-    >>> sorted(found.methods), found.methods["online"].smallest.bound
+    >>> observation = observe(synthetic_record(axis, laps=1), axis)
+    >>> sorted(observation.methods), observation.methods["online"].smallest.bound
     (['kalman', 'offline', 'online'], 'break_away')
     """
     record, axis = as_driven(axis.supplied_by(record), record)
@@ -221,7 +221,7 @@ def observe(
     cutoff_hz = min(DEFAULT_CUTOFF_HZ, ONLINE_SHARE / record.period) if cutoff_hz is None else cutoff_hz
     if offline_cutoff_hz is None:
         offline_cutoff_hz = min(OFFLINE_CUTOFF_HZ, OFFLINE_SHARE / record.period)
-    share_of_nyquist(offline_cutoff_hz, record.period)  # refused here, before it divides
+    share_of_nyquist(offline_cutoff_hz, record.period)  # raises for a bad cut-off before it is a divisor
     rest = rest_velocity_of(record, axis, offline_cutoff_hz)
     online: dict[str, OnlineObserver] = {"online": ForceObserver(axis, cutoff_hz, rest)}
     settings = {"offline": {"cutoff_hz": offline_cutoff_hz}, "online": {"cutoff_hz": cutoff_hz}}
@@ -241,7 +241,10 @@ def observe(
     else:
         warnings.append("no Kalman observer: the axis gives no encoder_resolution")
     made_up = FILTER_ENDS * 2.0 * record.period / share_of_nyquist(offline_cutoff_hz, record.period)
-    ends = {"offline": (made_up, made_up), **{name: (FORGOTTEN * one.delay, 0.0) for name, one in online.items()}}
+    ends = {
+        "offline": (made_up, made_up),
+        **{name: (FORGOTTEN * observer.delay, 0.0) for name, observer in online.items()},
+    }
     shortest = 4 * max(SETTLED, *(end for pair in ends.values() for end in pair))
     if record.duration < shortest:
         raise RecordError(
@@ -251,17 +254,17 @@ def observe(
 
     tell = progress or untold
     tell("off-line observer", 0.0)
-    seen = motion(record, offline_cutoff_hz)
-    parameter = _parameter_bound(seen, axis, parameter_std)
-    offline = observe_offline(seen, held_force(record, axis.drive.gain, offline_cutoff_hz), axis, rest)
+    filtered_motion = motion(record, offline_cutoff_hz)
+    parameter = _parameter_bound(filtered_motion, axis, parameter_std)
+    offline = observe_offline(filtered_motion, held_force(record, axis.drive.gain, offline_cutoff_hz), axis, rest)
     methods = {"offline": _judge(record, axis, offline, 0.0, ends["offline"], parameter, settings["offline"])}
-    del seen, offline
+    del filtered_motion, offline
     share = 1 / (1 + len(online))
-    for index, (name, one) in enumerate(online.items(), 1):
+    for index, (name, observer) in enumerate(online.items(), 1):
         force = observe_online(
-            one, record.q, record.u, partial(of_part(tell, index * share, share), f"{name} observer")
+            observer, record.q, record.u, partial(of_part(tell, index * share, share), f"{name} observer")
         )
-        methods[name] = _judge(record, axis, force, one.delay, ends[name], parameter, settings[name])
+        methods[name] = _judge(record, axis, force, observer.delay, ends[name], parameter, settings[name])
     return Observation(
         record=record.name,
         sha256=record.sha256,
@@ -274,9 +277,9 @@ def observe(
 
 
 def rest_velocity_of(record: Record, axis: Axis, cutoff_hz: float) -> float:
-    """The speed [m/s] below which ``record`` tells no sign of the velocity: 1 mm/s, or less where all of it is slow.
+    """The speed [m/s] below which the sign of the velocity is uncertain: 1 mm/s, or less where all motion is slow.
 
-    Then 1 % of the largest, but no less than one step of the encoder in the time that the cut-off [Hz] resolves.
+    Then it is 1 % of the largest speed, but at least one encoder step in the time that the cut-off [Hz] resolves.
     """
     span = max(1, round(0.5 / (cutoff_hz * record.period)))
     time = span * record.period
@@ -285,7 +288,7 @@ def rest_velocity_of(record: Record, axis: Axis, cutoff_hz: float) -> float:
 
 
 def direct_validation(record: Record, axis: Axis, model: str = "asymmetric", **options: Any) -> Identification:
-    """Identify and observe on the same record with its measured force, (21)-(23); its ``rms_error`` is that of tau_e.
+    """Identify from a record with a measured force, (21)-(23); ``rms_error`` is that of the observed force tau_e.
 
     With Y = tau_m + tau_e = W X + e, the observed force W X - tau_m differs from the measured one by e.
     """
@@ -295,24 +298,24 @@ def direct_validation(record: Record, axis: Axis, model: str = "asymmetric", **o
 
 
 def with_known_push(record: Record, voltage: np.ndarray, force_gain: float) -> Record:
-    """The record as if ``voltage`` (n,) [V], known to be in ``u``, had been an external force of G_tau times it.
+    """The record with the known part ``voltage`` (n,) [V] of ``u`` turned into an external force, G_tau times it.
 
-    What is left in ``u`` is what the controller asked for; ``f_ext`` is the force that was added behind its back.
+    ``u`` keeps the controller's output; ``f_ext`` is the force that was added to it.
     """
     push = np.ravel(np.asarray(voltage, dtype=float))
     return replace(record, u=record.u - push, f_ext=force_gain * push, name=f"{record.name}, push unknown")
 
 
-def _parameter_bound(seen: Motion, axis: Axis, std: np.ndarray | None) -> float:
+def _parameter_bound(filtered_motion: Motion, axis: Axis, std: np.ndarray | None) -> float:
     mechanics = axis.mechanics.array()
     std = PARAMETER_UNCERTAINTY * np.abs(mechanics) if std is None else np.asarray(std, dtype=float)
     bare = axis.replace(effects=[])
-    total = np.zeros_like(seen.v)
+    total = np.zeros_like(filtered_motion.v)
     keys = ("mass", "viscous", "coulomb", "offset")
-    without = model_force(seen, bare)
+    without = model_force(filtered_motion, bare)
     for key, value, spread in zip(keys, mechanics, std, strict=True):
         more = bare.replace(mechanics={key: float(value + spread)})
-        total += (model_force(seen, more) - without) ** 2
+        total += (model_force(filtered_motion, more) - without) ** 2
     return 1.96 * float(np.sqrt(np.mean(total)))
 
 
@@ -325,7 +328,7 @@ def _judge(
     parameter: float,
     settings: dict[str, float],
 ) -> MethodResult:
-    """Judge ``force`` (n,) [N], which is not reliable for ``ends`` [s] of the start and end of each piece."""
+    """Errors of ``force`` (n,) [N], which is not reliable within ``ends`` [s] of the start and end of each piece."""
     n, period = len(record), record.period
     first, last = (math.ceil(end / period) for end in ends)
     start = max(int(SETTLED / period), first, last)
@@ -344,7 +347,7 @@ def _judge(
         late = np.interp(record.t - delay, record.t, truth)
         aligned = float(np.sqrt(np.mean((force - late)[inner] ** 2)))
         steps = step_answer(force, truth, period, inner)
-    # Noise is what is quick in the error: a median keeps reversals and edges, which are few, out of it.
+    # Noise is the fast part of the error; the median excludes the few reversals and edges.
     quick = np.diff(error[start :: max(1, int(NOISE_STEP / period))])
     quick = quick[np.isfinite(quick)]
     noise = 1.96 * 1.4826 * float(np.median(np.abs(quick))) / np.sqrt(2.0)

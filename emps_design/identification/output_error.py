@@ -1,16 +1,13 @@
-"""Closed-loop output error: parameters whose simulation from ``q_ref`` asks for the force that was measured.
+"""Closed-loop output error: the parameters with which a simulation from ``q_ref`` reproduces the measured force.
 
-No derivative of a measured signal is taken, and the hold is in the simulation. The controller makes the voltage of
-reference and position, so an error of the position is in the force as well, and counts once. What a slow force does to
-a carriage at rest is no force error of a moving one: rests are left out as in the ``hold`` chain, where anything else
-is in the record (Gauss-Newton with a line search).
+No measured signal is differentiated, and the simulation includes the hold. The controller computes the voltage from
+reference and position, so a position error shows in the force too and counts once. Slow forces on a resting carriage
+are no force error of a moving one, so rests are left out as in the ``hold`` chain, unless too little else remains.
+The search is Gauss-Newton with a line search.
 
-A record simulated again: closed loop, from its reference, with the parameters of a model.
-
-What the steps of the encoder alone do to an estimate, by simulation of the closed loop.
-
-At a constant speed the steps come too fast for the filters; while the axis starts and stops they do not. So they are in
-the motion just where the mass is told, which no statistics of a residual that is the same all along can see.
+The same closed-loop simulation gives the error by the encoder's steps. At constant speed the steps are too fast for
+the filters to pass; while the axis starts and stops they are not. They disturb the motion just where it determines the
+mass, which statistics of a stationary residual cannot show.
 """
 
 from __future__ import annotations
@@ -43,8 +40,8 @@ from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 from emps_design.simulation.run import driven_by
 
-PHASES = 8  # of the encoder's steps against the motion
-STRIDE = 3  # of the phases, from one run to the next: where within a step the axis stood at first, against the phase
+PHASES = 8  # positions of the encoder's steps against the motion that are simulated
+STRIDE = 3  # phases, from one run to the next, by which the position at first within a step changes
 
 ITERATIONS = 12
 STEP = 1e-3  # of a parameter, for the derivatives
@@ -58,20 +55,20 @@ RESTS_TAKE_PART = (
 def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quantise: bool = False) -> Run:
     """Closed-loop run of ``record`` from its reference and measured external force with the solution ``value`` (p,).
 
-    The encoder is exact, or that of ``axis`` with ``quantise``. Raises :class:`RecordError` for ``value`` that no
-    simulation starts from, and where the controller of ``axis`` did not make the record.
+    The encoder is exact, or that of ``axis`` with ``quantise``. Raises :class:`RecordError` where mass or friction in
+    ``value`` is not positive, and where the simulation with the controller of ``axis`` fails.
     """
     p = model.natural(value)
     mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), model.baseline(p).tolist(), strict=True))
-    found = {**mechanics, "viscous": p.get("viscous", mechanics["viscous"])}
+    start = {**mechanics, "viscous": p.get("viscous", mechanics["viscous"])}
     for name in ("mass", "viscous", "coulomb"):
-        if not found[name] > 0:
+        if not start[name] > 0:
             why = implausible(p, axis) or [
                 "the record does not determine it: record several constant speeds in both directions, with "
                 "acceleration between them"
             ]
             raise RecordError(
-                f"{record.name}: {name} came out as {found[name]:.4g}, and no simulation starts from that; {why[0]}"
+                f"{record.name}: {name} came out as {start[name]:.4g}, and no simulation starts from that; {why[0]}"
             )
     effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
@@ -87,11 +84,11 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
 def error_of_steps(
     record: Record, axis: Axis, model: Model, value: np.ndarray, estimate: Callable[[Record, Record], np.ndarray]
 ) -> np.ndarray | None:
-    """Rms (p,) by which the steps of the encoder move ``estimate``, over several of their phases.
+    """Rms change (p,) of ``estimate`` by the steps of the encoder, over several of their phases.
 
-    ``estimate`` gives parameters (p,) of a simulated record, beside the same record by an exact encoder; ``value`` (p,)
-    are those that are simulated. None without a resolution or a controller in ``axis``, without a recorded reference,
-    and where no simulation with ``value`` follows it.
+    ``estimate`` gives the parameters (p,) of a simulated record, and takes also the same record by an exact encoder;
+    the simulation has the parameters ``value`` (p,). None without a resolution or a controller in ``axis``, without a
+    recorded reference, and where the simulation fails.
     """
     resolution = axis.sampling.encoder_resolution
     if not resolution or axis.controller.kind == NONE or not record.has_reference:
@@ -101,8 +98,8 @@ def error_of_steps(
         right, errors = estimate(exact, exact), []
         for phase in range(PHASES):
             moved, stood = (resolution * (i % PHASES) / PHASES for i in (phase, STRIDE * phase))
-            seen = _as_record(record, axis, model, value, moved, stood - 0.5 * resolution)
-            errors.append(estimate(seen, exact) - right)
+            rounded = _as_record(record, axis, model, value, moved, stood - 0.5 * resolution)
+            errors.append(estimate(rounded, exact) - right)
         return np.sqrt(np.mean(np.square(errors), axis=0))
     except (EmpsError, np.linalg.LinAlgError):
         return None
@@ -111,10 +108,10 @@ def error_of_steps(
 def _as_record(
     record: Record, axis: Axis, model: Model, value: np.ndarray, moved: float = 0.0, stood: float | None = None
 ) -> Record:
-    """``record`` as the axis with ``value`` would have made it, by an exact encoder without ``stood``.
+    """``record`` simulated with the solution ``value`` (p,); the encoder is exact where ``stood`` is None.
 
-    ``moved`` [m] is all of it against the encoder's steps, ``stood`` [m] how far the axis was at first from what the
-    encoder said.
+    ``moved`` [m] shifts the whole motion against the encoder's steps; ``stood`` [m] is the initial distance of the axis
+    from the encoder's reading.
     """
     start = replace(record, q_ref=record.q_ref + moved, q=record.q + moved + (stood or 0.0))
     run = simulate(start, axis, model, value, quantise=stood is not None)
@@ -130,15 +127,16 @@ def identify_by_output_error(
 ) -> Identification:
     """Identify ``axis`` from ``record`` by closed-loop output error on the motor force.
 
-    Starts at the least-squares estimate of the ``hold`` chain, or, where that finds too little away from rest, at the
-    mechanics of ``axis``; ``cutoff`` [Hz] low-passes the residual. ``extra`` holds the errors in position [m] and
-    force [N]. Raises :class:`AxisError` without a controller, :class:`InputError` where the search does not converge.
+    Starts at the least-squares estimate of the ``hold`` chain or, where that leaves too few rows, at the mechanics of
+    ``axis``; ``cutoff`` [Hz] low-passes the residual. ``extra`` holds the rms errors in position [m] and force [N].
+    Raises :class:`AxisError` without a controller, :class:`InputError` where the search does not converge.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = identify_by_output_error(synthetic_record(axis, laps=1), axis)
-    >>> round(found.parameters["viscous"].value, -1), found.extra["closed_loop"]["position_rms_error"] < 1e-6
+    >>> identification = identify_by_output_error(synthetic_record(axis, laps=1), axis)
+    >>> loop = identification.extra["closed_loop"]
+    >>> round(identification.parameters["viscous"].value, -1), loop["position_rms_error"] < 1e-6
     (200.0, True)
     """
     if axis.controller.kind == NONE:
@@ -149,7 +147,7 @@ def identify_by_output_error(
     axis = known_part(axis, model)
     if cutoff is None:
         cutoff = chosen_cutoff(acting(record, axis))
-    problem, start, said = _problem(record, axis, model, cutoff)
+    problem, start, remarks = _problem(record, axis, model, cutoff)
     model = problem.model
     measured = motor_force(axis, record)
 
@@ -171,45 +169,48 @@ def identify_by_output_error(
         }
     }
 
-    def of_steps(seen: Record, exact: Record) -> np.ndarray:
-        off = _rows(motor_force(axis, seen) - motor_force(axis, exact), problem)
+    def of_steps(rounded: Record, exact: Record) -> np.ndarray:
+        off = _rows(motor_force(axis, rounded) - motor_force(axis, exact), problem)
         return least_squares(jacobian, off, problem.names, problem.used).value
 
     error = force_error(value)
     slopes = _jacobian(force_error, value, error, model).T
 
     def at(frequency: float) -> Estimated:
-        """One step of Gauss and Newton from the estimate, with error and derivatives filtered otherwise."""
+        """One Gauss-Newton step from the estimate; error and derivatives filtered at ``frequency`` [Hz]."""
         other, _, _ = _problem(record, axis, model, frequency)
-        columns, left = np.column_stack([_rows(one, other) for one in slopes]), _rows(error, other)
-        step = least_squares(columns, left, other.names, other.used)
-        linear, found = _linear(other, columns, step.residual, value + step.value)
-        return Estimated(other.parameters(found.value), residual_statistics(linear, found)[0].std)
+        columns, target = np.column_stack([_rows(slope, other) for slope in slopes]), _rows(error, other)
+        step = least_squares(columns, target, other.names, other.used)
+        linear, shifted = _linear(other, columns, step.residual, value + step.value)
+        return Estimated(other.parameters(shifted.value), residual_statistics(linear, shifted)[0].std)
 
     own = Estimated(problem.parameters(value), residual_statistics(problem, fit)[0].std)
     errors = Errors(
         encoder=error_of_steps(record, axis, model, value, of_steps),
         cutoff=cutoff_sensitivity(problem.names, own, cutoff, record.period, at),
     )
-    found = assemble(problem, fit, "output_error", None, errors, said, extra, weakest=0.0)
-    return replace(found, series={**found.series, "measured": problem.Y, "model": problem.Y - residual})
+    identification = assemble(problem, fit, "output_error", None, errors, remarks, extra, weakest=0.0)
+    return replace(
+        identification, series={**identification.series, "measured": problem.Y, "model": problem.Y - residual}
+    )
 
 
 def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[Regression, np.ndarray, list[str]]:
-    """The regression at this ``cutoff`` [Hz], where its least squares start the search (p,), and notes on both.
+    """The regression at this ``cutoff`` [Hz], the start (p,) of the search, and notes for the user.
 
-    With rests, and from the mechanics of the ``axis``, where too little of the record is away from rest.
+    The start is the least-squares solution. Where too little of the record is away from rest, rests take part and the
+    mechanics of ``axis`` are the start.
     """
-    said = notes(axis, simulated=True)
+    remarks = notes(axis, simulated=True)
     try:
         problem = Regression.of(record, axis, model, cutoff=cutoff)
-        return problem, problem.solved().value, said
+        return problem, problem.solved().value, remarks
     except (RecordError, RankError):
         filtered = hold_chain(record, axis.drive.gain, cutoff, fewest_rows=0)
         filtered = replace(filtered, used=np.ones_like(filtered.used))
         model = settled(filtered, model)
         W, Y = regression(filtered, model)
-        return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), [*said, RESTS_TAKE_PART]
+        return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), [*remarks, RESTS_TAKE_PART]
 
 
 def _linear(
@@ -223,7 +224,7 @@ def _linear(
 
 
 def _edge(problem: Regression) -> int:
-    """Samples at each end in which the filter makes up what lies outside the record."""
+    """Samples at each end in which the filter extrapolates beyond the record."""
     return int(1.0 / (problem.filtered.band_hz * problem.record.period))
 
 
@@ -234,7 +235,7 @@ def _rows(force: np.ndarray, problem: Regression) -> np.ndarray:
 
 
 def _mechanics(axis: Axis, model: Model) -> np.ndarray:
-    """What the axis file says of the parameters of ``model``, and of the terms beside it what is known of them."""
+    """Solution (p,) of ``model`` by the mechanics of the axis file; terms beside it from the model's point, or 0."""
     mass, viscous, coulomb, offset = axis.mechanics.array().tolist()
     two = {f"viscous_{way}": viscous for way in ("positive", "negative")}
     two |= {"coulomb_positive": coulomb + offset, "coulomb_negative": coulomb - offset}
@@ -245,7 +246,7 @@ def _mechanics(axis: Axis, model: Model) -> np.ndarray:
 def _least(
     error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, model: Model, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parameters (p,) with the least sum of squares, possible ones, their error (n,) and its derivative (n, p)."""
+    """Possible parameters (p,) with the least sum of squares, their error (n,) and its derivatives (n, p)."""
     residual = error(value)
     best = float(residual @ residual)
     jacobian = _jacobian(error, value, residual, model)
@@ -271,9 +272,9 @@ def _least(
 def _jacobian(
     error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, residual: np.ndarray, model: Model
 ) -> np.ndarray:
-    """What the simulated force changes by with each parameter, shape (n, p)."""
+    """Derivatives of the simulated force with respect to each parameter, shape (n, p)."""
     columns = []
-    sizes = np.where(model.curved, 1.0, np.maximum(np.abs(value), STEP))  # an angle or a power may differ by nothing
+    sizes = np.where(model.curved, 1.0, np.maximum(np.abs(value), STEP))  # angle and exponent are differences, maybe 0
     for i, size in enumerate(sizes.tolist()):
         moved = value.copy()
         moved[i] += STEP * size

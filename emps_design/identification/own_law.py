@@ -1,4 +1,4 @@
-"""The controller that made a record, found in it, where the axis says of none."""
+"""The controller of a record, identified from the record, for an axis without one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from emps_design.records import Record
 
 
 def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, str]:
-    """The ``axis`` with the controller that made ``record``, None where the record does not tell it, and a note on it.
+    """The ``axis`` with the controller identified from ``record``, None where there is none, and a note on it.
 
     >>> import numpy as np
     >>> from emps_design.machines import machine
@@ -17,8 +17,8 @@ def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, str]:
     >>> with_own_law(driven_by_something_else, machine("emps2019"))[0] is None
     True
     """
-    found = identify_law(record, axis.drive.command_unit)
-    if found.controller is None:
-        return None, f"{axis.name} has no controller, and the record tells of none: {found.reason}"
-    with_law = Axis.from_dict({**axis.to_dict(), "controller": found.controller}, axis.name)
-    return with_law, f"{axis.name} has no controller; the one of the record was used ({found.in_words}), law writes it"
+    law = identify_law(record, axis.drive.command_unit)
+    if law.controller is None:
+        return None, f"{axis.name} has no controller, and the record tells of none: {law.reason}"
+    with_law = Axis.from_dict({**axis.to_dict(), "controller": law.controller}, axis.name)
+    return with_law, f"{axis.name} has no controller; the one of the record was used ({law.in_words}), law writes it"

@@ -93,13 +93,13 @@ class Unexplained:
         """What a user should know, and the next step."""
         if not self.matters:
             return []
-        left = f"the model leaves {100.0 * self.share:.2g} % of the force unexplained"
+        message = f"the model leaves {100.0 * self.share:.2g} % of the force unexplained"
         if self.structure > LITTLE:
-            left += (
+            message += (
                 f", and {100.0 * self.structure:.2g} % comes again with the same motion, so it is no noise (noise: "
                 f"{100.0 * self.noise:.2g} %); the intervals are {self.widening:.2g} times as wide for it"
             )
-        return [f"{left}: the machine has something that the model lacks; next: diagnose, which names it"]
+        return [f"{message}: the machine has something that the model lacks; next: diagnose, which names it"]
 
 
 def unexplained(problem: Regression, residual: np.ndarray, spread: LongRun) -> Unexplained:
@@ -107,22 +107,22 @@ def unexplained(problem: Regression, residual: np.ndarray, spread: LongRun) -> U
     steps, away = problem.filtered.independent_rows
     every = steps * max(1, -(-len(residual) // steps // MOST))
     rows = np.flatnonzero(away[::every]) * every
-    left, force = residual[rows], problem.Y[rows]
-    share = float(np.linalg.norm(left) / max(float(np.linalg.norm(force)), 1e-300))
+    residuals, force = residual[rows], problem.Y[rows]
+    share = float(np.linalg.norm(residuals) / max(float(np.linalg.norm(force)), 1e-300))
     none = Unexplained(share, 0.0, 1.0, 1.0)
     if problem.filtered.chain != "hold" or rows.size < FEWEST_ROWS or len(problem.record) > LONG:
         return none
     state = _state(problem)[rows]
     state /= np.maximum(np.std(state, axis=0), 1e-300)
     state += ALIKE * np.random.default_rng(0).standard_normal(state.shape)  # of what is equal, any may be nearest
-    t, power = problem.filtered.t[rows], float(np.mean(left**2))
+    t, power = problem.filtered.t[rows], float(np.mean(residuals**2))
     # Structure is correlated along a stroke, too: no longer than leaves enough blocks to tell it from chance.
     longest = (t[-1] - t[0]) / (2 * FEWEST_BLOCKS)
     apart = min(APART * max(spread.correlation_time, problem.filtered.period * every), longest)
-    best, of = max((_repeated(state[:, columns], left, t, apart), columns) for columns in STATES)
+    best, states = max((_repeated(state[:, columns], residuals, t, apart), columns) for columns in STATES)
     if not best > 0.0:
         return none
-    part, passes = min(best / power, 1.0), _passes(state[:, of], t, spread.correlation_time, apart)
+    part, passes = min(best / power, 1.0), _passes(state[:, states], t, spread.correlation_time, apart)
     return Unexplained(share, share * part**0.5, passes, float(np.sqrt(1.0 - part + part * passes)))
 
 
@@ -134,10 +134,10 @@ def _state(problem: Regression) -> np.ndarray:
     record, band = problem.record, problem.filtered.band_hz
     late = late_reference(record) if record.q_ref_recorded else record
     if record.q_ref_recorded and follows(late):
-        seen = motion(replace(record, q=late.q_ref), band)
+        nominal = motion(replace(record, q=late.q_ref), band)
     else:
-        seen = motion(record, SLOWER * band)
-    return np.column_stack([problem.filtered.reduce(one) for one in (seen.q, seen.v, seen.a)])
+        nominal = motion(record, SLOWER * band)
+    return np.column_stack([problem.filtered.reduce(signal) for signal in (nominal.q, nominal.v, nominal.a)])
 
 
 def late_reference(record: Record) -> Record:
@@ -153,7 +153,7 @@ def late_reference(record: Record) -> Record:
     return replace(record, q_ref=np.interp(record.t - max(lag, 0.0), record.t, record.q_ref))
 
 
-def _repeated(state: np.ndarray, left: np.ndarray, t: np.ndarray, apart: float) -> float:
+def _repeated(state: np.ndarray, residual: np.ndarray, t: np.ndarray, apart: float) -> float:
     """Power of what repeats in ``left`` (n,) with the ``state`` (n, k), 0 where chance does as much."""
     from scipy.spatial import cKDTree
 
@@ -164,8 +164,8 @@ def _repeated(state: np.ndarray, left: np.ndarray, t: np.ndarray, apart: float) 
     known = count > 0
     if np.mean(known) < MOST_STATES:
         return 0.0
-    mean = np.where(other, left[near], 0.0).sum(axis=1)[known] / count[known]
-    product = left[known] * mean
+    mean = np.where(other, residual[near], 0.0).sum(axis=1)[known] / count[known]
+    product = residual[known] * mean
     # The product of noise is independent from one block of time to the next.
     block = np.floor((t[known] - t[0]) / apart).astype(int)
     power = float(product.mean())
@@ -180,9 +180,9 @@ def _passes(state: np.ndarray, t: np.ndarray, time: float, apart: float) -> floa
 
     step = max(1, round(time / float(np.median(np.diff(t)))))
     radius = float(np.median(np.linalg.norm(state[step:] - state[:-step], axis=1)))
-    asked = np.arange(0, len(t), max(1, len(t) // SAMPLED))
-    times = [np.sort(t[near]) for near in cKDTree(state).query_ball_point(state[asked], radius)]
-    return float(np.mean([1 + np.sum(np.diff(one) > apart) for one in times]))
+    queries = np.arange(0, len(t), max(1, len(t) // SAMPLED))
+    times = [np.sort(t[near]) for near in cKDTree(state).query_ball_point(state[queries], radius)]
+    return float(np.mean([1 + np.sum(np.diff(visits) > apart) for visits in times]))
 
 
 def proposed_for(record: Record, axis: Axis, request: Request) -> tuple[str, ...]:
@@ -220,7 +220,7 @@ def proposed_terms(record: Record, axis: Axis, friction: str, cutoff: float) -> 
         return ()
     while terms:
         whole = strokes.errors(terms)
-        without = {term: strokes.errors([one for one in terms if one != term]) for term in terms}
+        without = {term: strokes.errors([other for other in terms if other != term]) for term in terms}
         idle = [term for term in terms if not strokes.ask_for(whole, without[term])]
         if not idle:
             break
@@ -235,7 +235,7 @@ class Strokes:
     """
 
     def __init__(self, filtered: Filtered, friction: str, bounded: bool = False) -> None:
-        self.resists = sum(one.name in RESISTS for one in Model(friction).quantities) if bounded else 0
+        self.resists = sum(quantity.name in RESISTS for quantity in Model(friction).quantities) if bounded else 0
         every = filtered.resolved_steps
         bounds = stretches(filtered.used[::every])
         part = np.concatenate([np.arange(start, stop) for start, stop in bounds] or [np.zeros(0, int)])
@@ -272,19 +272,19 @@ class Strokes:
         what those say, all together, predicts.
         """
         if known is not None:
-            value, which = known._told(known._forms(terms), np.ones(len(known.Y), bool))
+            value, which = known._best_form(known._forms(terms), np.ones(len(known.Y), bool))
             return self.Y - self._forms(terms)[which] @ value
         forms, error = self._forms(terms, others), np.zeros(len(self.Y))
         for fold in np.unique(self.fold):
             out = self.fold == fold
-            value, which = self._told(forms, ~out)
+            value, which = self._best_form(forms, ~out)
             error[out] = self.Y[out] - forms[which][out] @ value
         return error
 
     def residual(self, terms: Sequence[str], others: Sequence[np.ndarray] = ()) -> np.ndarray:
         """What a model with ``terms`` and ``others``, fitted to all of them, leaves (rows,) [N]."""
         forms = self._forms(terms, others)
-        value, which = self._told(forms, np.ones(len(self.Y), bool))
+        value, which = self._best_form(forms, np.ones(len(self.Y), bool))
         return self.Y - forms[which] @ value
 
     def _forms(self, terms: Sequence[str], others: Sequence[np.ndarray] = ()) -> list[np.ndarray]:
@@ -294,13 +294,13 @@ class Strokes:
             return [W]
         return [np.column_stack([W[:, :VISCOUS], bent, W[:, VISCOUS + 1 :]]) for bent in self.bent.T]
 
-    def _told(self, forms: list[np.ndarray], rows: np.ndarray) -> tuple[np.ndarray, int]:
+    def _best_form(self, forms: list[np.ndarray], rows: np.ndarray) -> tuple[np.ndarray, int]:
         """What ``rows`` (rows,) bool say, (p,), of the one of ``forms`` that leaves least of them, and which it is."""
         tried = [solved(form[rows], self.Y[rows], self.resists) for form in forms]
-        left = [
+        squares = [
             float(np.sum((form[rows] @ value - self.Y[rows]) ** 2)) for form, value in zip(forms, tried, strict=True)
         ]
-        which = int(np.argmin(left))
+        which = int(np.argmin(squares))
         return tried[which], which
 
     def ask_for(self, whole: np.ndarray, without: np.ndarray) -> bool:

@@ -1,4 +1,4 @@
-"""Several records of one axis: mean and spread, cross-validation, drift."""
+"""Identification from several records of one axis: mean and spread, cross-validation, drift."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from emps_design.records.record import joined
 DRIFT_LEVEL = 0.01
 OUTPUT_ERROR = "output_error"
 TOGETHER = "the records go one way each, and are fitted together"
-# How an estimator is called in a result, and how it is asked for: the more particular the later.
+# The estimator's name in a result, and the option that requests it; the more specific ones come later.
 NAMES = {
     "least_squares": BY_LEAST_SQUARES,
     "instrumental_variables": BY_INSTRUMENTS,
@@ -30,10 +30,10 @@ NAMES = {
 
 @dataclass(frozen=True)
 class SeveralIdentifications:
-    """Identifications of several records in the order of recording.
+    """Identifications of several records, in the order of recording.
 
-    ``cross_validation[i, j]`` [N] is the rms force error on record j with the parameters of record i; its diagonal is
-    each record's own error.
+    ``cross_validation[i, j]`` [N] is the rms force error on record j with the parameters of record i; the diagonal
+    holds the error of each record with its own parameters.
     """
 
     identifications: tuple[Identification, ...]
@@ -45,22 +45,22 @@ class SeveralIdentifications:
     @property
     def records(self) -> tuple[str, ...]:
         """Names of the records."""
-        return tuple(one.record for one in self.identifications)
+        return tuple(identification.record for identification in self.identifications)
 
     @property
     def estimator(self) -> str:
-        """What all were identified by."""
+        """The estimator, the same for all records."""
         return self.identifications[0].estimator
 
     @property
     def proposed(self) -> tuple[str, ...]:
-        """The terms that one of the records or more asked for."""
+        """The terms that at least one record called for."""
         return self.identifications[0].proposed
 
     @property
     def values(self) -> np.ndarray:
         """Parameters, one row per record, shape (records, p)."""
-        return np.array([one.values() for one in self.identifications])
+        return np.array([identification.values() for identification in self.identifications])
 
     def table(self) -> list[dict[str, Any]]:
         """One row per parameter: mean, spread between records, mean deviation within one, drift per record."""
@@ -69,8 +69,8 @@ class SeveralIdentifications:
         rows = []
         for i, quantity in enumerate(self.identifications[0].fitted.quantities):
             column = self.values[:, i]
-            found = [one.parameters[quantity.name].std_long_run for one in self.identifications]
-            within = np.array(found, dtype=float)  # NaN where a record does not determine it
+            stds = [identification.parameters[quantity.name].std_long_run for identification in self.identifications]
+            within = np.array(stds, dtype=float)  # NaN where a record does not determine it
             slope, p_value = (0.0, 1.0) if len(column) >= 3 else (None, None)  # two records tell no drift
             if len(column) >= 3 and np.ptp(column) > 0:
                 line = linregress(np.arange(len(column)), column)
@@ -92,9 +92,9 @@ class SeveralIdentifications:
         return rows
 
     def mean(self) -> Identification:
-        """The identification whose parameters are the means, with the spread as deviation; from the first record.
+        """The first record's identification with the mean parameters, and their spread as deviations.
 
-        Its intervals are those in which the parameters of one more record lie with 95 % (Student's t of so many).
+        A further record's parameters lie in its intervals with 95 % probability (Student's t).
         """
         from scipy.stats import t
 
@@ -130,7 +130,7 @@ class SeveralIdentifications:
             "cross_validation": self.cross_validation.tolist(),
             "cross_validation_unit": self.axis.units.unit("N"),
             "own_rms_error": np.diag(self.cross_validation).tolist(),
-            "identifications": [one.to_dict() for one in self.identifications],
+            "identifications": [identification.to_dict() for identification in self.identifications],
             "warnings": list(self.warnings),
         }
 
@@ -140,15 +140,16 @@ def identify_several(
 ) -> SeveralIdentifications:
     """Identify each of ``records`` and judge every set of parameters on every record.
 
-    ``options`` are those of :func:`.identify`; with the estimator ``auto`` all by the one that one of the records asks
-    for, and with the terms that any of them proposes, so that they can be compared. Raises :class:`InputError` for
-    fewer than two records, :class:`AxisError` where a record does not determine a parameter.
+    ``options`` are those of :func:`.identify`. With the estimator ``auto`` all records are fitted by the most specific
+    estimator that one of them needs, and with the terms that any of them calls for, so that they can be compared.
+    Raises :class:`InputError` for fewer than two records, :class:`AxisError` where a record leaves a parameter
+    undetermined.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
-    >>> found = identify_several([synthetic_record(axis, seed, laps=1) for seed in range(2)], axis)
-    >>> found.cross_validation.shape, round(found.table()[0]["mean"])
+    >>> several = identify_several([synthetic_record(axis, seed, laps=1) for seed in range(2)], axis)
+    >>> several.cross_validation.shape, round(several.table()[0]["mean"])
     ((2, 2), 95)
     """
     if len(records) < 2:
@@ -157,59 +158,59 @@ def identify_several(
         from emps_design.machines import machine
 
         axis = machine("emps2019")
-    found = _identified(records, axis, progress, options)
+    fits = _identified(records, axis, progress, options)
     problems = []
-    for record, one in zip(records, found, strict=True):
-        missing = [name for name, estimate in one.parameters.items() if not estimate.determined]
+    for record, fit in zip(records, fits, strict=True):
+        missing = [name for name, estimate in fit.parameters.items() if not estimate.determined]
         if missing:
             raise AxisError(
                 f"{record.name}: {', '.join(missing)} not determined, so there is no mean to take; leave this record "
                 "out, or record motion that excites them"
             )
-        # What each is judged by is the inverse model, whatever the estimator: output error has other columns.
-        judge = one
-        if one.estimator == OUTPUT_ERROR:
-            terms = list(one.fitted.terms)
+        # Every record is judged by the inverse model, whatever the estimator: output error has other columns.
+        judge = fit
+        if fit.estimator == OUTPUT_ERROR:
+            terms = list(fit.fitted.terms)
             judge = identify(record, axis, **{**options, "estimator": BY_LEAST_SQUARES, "with_": terms})
         problems.append(judge)
-    matrix = np.array([[_error(one, judge) for judge in problems] for one in found])
-    warnings = tuple(f"{one.record}: {text}" for one in found for text in one.warnings)
-    return SeveralIdentifications(tuple(found), matrix, warnings, found[0].model, axis)
+    matrix = np.array([[_error(fit, judge) for judge in problems] for fit in fits])
+    warnings = tuple(f"{fit.record}: {text}" for fit in fits for text in fit.warnings)
+    return SeveralIdentifications(tuple(fits), matrix, warnings, fits[0].model, axis)
 
 
-def _error(found: Identification, judge: Identification) -> float:
+def _error(fit: Identification, judge: Identification) -> float:
     """Force error [N rms] of the parameters ``found`` on the record of ``judge``, by its inverse model."""
-    left = judge.series["measured"] - judge.series["columns"] @ found.solution(judge.fitted)
-    return float(np.sqrt(np.sum(left**2) / judge.samples))
+    residual = judge.series["measured"] - judge.series["columns"] @ fit.solution(judge.fitted)
+    return float(np.sqrt(np.sum(residual**2) / judge.samples))
 
 
 def identify_together(records: Sequence[Record], axis: Axis, **options: Any) -> Identification:
-    """Identify ``axis`` from ``records`` as from one: for those that go one way each, and tell all of it together.
+    """Identify ``axis`` from ``records`` as from one: for records that each move one way, but together both ways.
 
     ``options`` are those of :func:`.identify`, by least squares. Raises :class:`InputError` for another estimator.
     """
     estimator = options.pop("estimator", BY_LEAST_SQUARES)
     if estimator not in (AUTO, BY_LEAST_SQUARES):
         raise InputError(f"`estimator`: found {estimator!r}, expected 'ls' for records that go one way each")
-    found = identify(joined(records, axis.units.rotary), axis, estimator=BY_LEAST_SQUARES, **options)
-    return replace(found, warnings=(*found.warnings, TOGETHER))
+    fit = identify(joined(records, axis.units.rotary), axis, estimator=BY_LEAST_SQUARES, **options)
+    return replace(fit, warnings=(*fit.warnings, TOGETHER))
 
 
 def _identified(
     records: Sequence[Record], axis: Axis, progress: Progress | None, options: dict[str, Any]
 ) -> list[Identification]:
-    """Each of ``records`` by one estimator, the most particular that one of them asks for, and with the same terms."""
-    found = []
+    """Each of ``records`` by one estimator, the most specific that one of them needs, and with the same terms."""
+    fits = []
     for index, record in enumerate(records):
         if progress is not None:
             progress(f"identify {record.name}", index / len(records))
-        found.append(identify(record, axis, **options))
-    taken = max((one.estimator for one in found), key=list(NAMES).index)
-    proposed = tuple(term for term in TERMS if any(term in one.proposed for one in found))
+        fits.append(identify(record, axis, **options))
+    taken = max((fit.estimator for fit in fits), key=list(NAMES).index)
+    proposed = tuple(term for term in TERMS if any(term in fit.proposed for fit in fits))
     again = {**options, "estimator": NAMES[taken]}
     if proposed:
         again["with_"] = list(proposed)
-    for index, one in enumerate(found):
-        if one.estimator != taken or one.proposed != proposed:
-            found[index] = replace(identify(records[index], axis, **again), proposed=proposed)
-    return found
+    for index, fit in enumerate(fits):
+        if fit.estimator != taken or fit.proposed != proposed:
+            fits[index] = replace(identify(records[index], axis, **again), proposed=proposed)
+    return fits

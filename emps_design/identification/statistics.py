@@ -1,8 +1,8 @@
-"""Standard deviations that hold for residuals that are correlated from sample to sample.
+"""Standard deviations for residuals that are correlated from sample to sample.
 
-Equation (15) counts every sample as an independent observation. Three ways to count fewer: the long-run covariance of
-an autoregressive model of the residual (the one the intervals use), the heteroscedasticity and autocorrelation
-consistent (HAC) sandwich with a stated lag, and a bootstrap of blocks.
+Equation (15) takes every sample as an independent observation. Three estimates do not: the long-run covariance of an
+autoregressive model of the residual (which the intervals use), the heteroscedasticity and autocorrelation consistent
+(HAC) sandwich with a given lag, and a block bootstrap.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from emps_design.identification.filters import BLOCK
 LARGEST_ORDER = 4
 ROWS_PER_ORDER = 20
 LAGS = LARGEST_ORDER + 1  # of the residual's autocovariance, zero among them
-CORRECTIONS = 8  # of it for the regression and for gaps, each with the model of the one before
-LEAST_PAIRS = 0.2  # of the rows, with a partner at a lag that counts
+CORRECTIONS = 8  # iterations that correct it for the regression and for gaps
+LEAST_PAIRS = 0.2  # of the rows: least share with a partner at a lag
 NEGLIGIBLE = 1e-4  # share of the variance at which a model's autocovariance is cut
 
 
 @dataclass(frozen=True)
 class LongRun:
-    """Covariance of an estimate, and what was found in its residual.
+    """Covariance of an estimate, and the correlation of its residual.
 
     ``covariance`` (p, p); ``autocovariance`` of the noise at the first lags; ``order`` of its autoregressive model;
     ``correlation_time`` [s] the integral time scale of the residual; ``effective_samples`` how many independent
@@ -45,7 +45,7 @@ class LongRun:
         return np.sqrt(np.diag(self.covariance))
 
     def to_dict(self) -> dict[str, Any]:
-        """What was found in the residual, as plain data."""
+        """The correlation of the residual, as plain data."""
         return {
             "autoregressive_order": self.order,
             "correlation_time": self.correlation_time,
@@ -59,15 +59,15 @@ def long_run(
 ) -> LongRun:
     """Covariance of least squares (or of the instruments ``Z``) when the residual is autoregressive.
 
-    ``W``, ``Z`` (n, p) and ``residual`` (n,) are spaced by ``period`` [s]; rows that took no part are zero and False in
-    ``used`` (n,). The autocovariance of the residual is corrected for what the p parameters took out of it; the order,
-    1 to 4, is the one with the least Akaike criterion. The long-run variance of an AR(p) model has a relative
-    variance of about 4 p / n_eff, so Student's t has n_eff / (2 p) degrees of freedom. Rows must not be closer than
-    the filter resolves, or the model describes the filter.
+    ``W``, ``Z`` (n, p) and ``residual`` (n,) are sampled with ``period`` [s]; unused rows are zero and False in
+    ``used`` (n,). The autocovariance of the residual is corrected for the share that the p parameters absorb; the
+    order, 1 to 4, has the least Akaike criterion. The long-run variance of an AR(p) model has a relative variance of
+    about 4 p / n_eff, so Student's t has n_eff / (2 p) degrees of freedom. Rows must not be closer than the filter
+    resolves, or the model describes the filter.
 
     >>> white = np.random.default_rng(0).standard_normal(4000)
-    >>> found = long_run(np.ones((4000, 1)), white - white.mean(), np.ones(4000, dtype=bool), 1.0)
-    >>> round(float(found.std[0]) * 4000**0.5, 1), found.effective_samples > 3000
+    >>> statistics = long_run(np.ones((4000, 1)), white - white.mean(), np.ones(4000, dtype=bool), 1.0)
+    >>> round(float(statistics.std[0]) * 4000**0.5, 1), statistics.effective_samples > 3000
     (1.0, True)
     """
     from scipy.stats import t as student
@@ -77,7 +77,7 @@ def long_run(
     if n < ROWS_PER_ORDER:
         raise InputError(f"statistics: found {n} usable rows, expected at least {ROWS_PER_ORDER}; record longer")
     sample = _autocovariance(residual, n)
-    pairs = _autocovariance(used.astype(float), n)  # share of the rows that have a partner so far away
+    pairs = _autocovariance(used.astype(float), n)  # share of the rows with a used partner at each lag
     order = min(
         range(1, min(LARGEST_ORDER, n // ROWS_PER_ORDER) + 1), key=lambda p: n * np.log(_innovation(sample, p)) + 2 * p
     )
@@ -88,7 +88,7 @@ def long_run(
         try:
             model, sample_of_noise = _model(corrected, order, len(residual)), corrected
         except ArithmeticError:
-            break  # the corrected autocovariance is of no stationary model; the last one that was stands
+            break  # the corrected autocovariance has no stationary model: keep the previous one
     bread = np.linalg.inv(Z.T @ W)
     integral = max(1.0, 1.0 + 2.0 * float(np.sum(model[1:])) / float(model[0]))
     return LongRun(
@@ -104,14 +104,14 @@ def long_run(
 def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray | None = None) -> np.ndarray:
     """HAC covariance (Newey and West, Bartlett weights over ``lag`` rows) of least squares or instruments, (p, p).
 
-    Rows that took no part are zero, so that lags are distances in time.
+    Unused rows are zero, so that lags are distances in time.
 
     >>> hac_covariance(np.ones((4, 1)), np.array([1.0, -1.0, 1.0, -1.0]), lag=0).tolist()
     [[0.25]]
     """
     Z = W if Z is None else Z
     bread, meat = np.linalg.inv(Z.T @ W), np.zeros((W.shape[1], W.shape[1]))
-    # A block at a time, each with the rows before it that its own have a lag to: an hour's products would not fit.
+    # Block by block, each with the ``lag`` rows before it: the products of an hour would not fit into memory.
     for start in range(0, len(Z), BLOCK):
         first = max(0, start - lag)
         products = Z[first : start + BLOCK] * residual[first : start + BLOCK, None]
@@ -122,10 +122,10 @@ def hac_covariance(W: np.ndarray, residual: np.ndarray, lag: int, Z: np.ndarray 
 
 
 def _bartlett_sum(rows: np.ndarray, lag: int) -> np.ndarray:
-    """Products of ``rows`` (n, p) with each other up to ``lag`` rows apart, Bartlett weights, (p, p).
+    """Sum (p, p) of products of ``rows`` (n, p) up to ``lag`` rows apart, with Bartlett weights.
 
-    Two rows share lag + 1 less their distance of the windows of lag + 1 rows, which is Bartlett's weight: so it is the
-    products of the windows' sums, whatever the lag. As ``S_hac_simple`` of statsmodels has it.
+    Two rows share ``lag + 1 - distance`` of all windows of ``lag + 1`` rows, which is Bartlett's weight: so the sum is
+    the product of the windows' sums with themselves. Agrees with ``S_hac_simple`` of statsmodels.
     """
     total, none = np.cumsum(rows, axis=0), np.zeros((lag + 1, rows.shape[1]))
     windows = np.vstack([total, np.repeat(total[-1:], lag, axis=0)]) - np.vstack([none, total])[:-1]
@@ -135,11 +135,11 @@ def _bartlett_sum(rows: np.ndarray, lag: int) -> np.ndarray:
 def residual_bootstrap(
     W: np.ndarray, residual: np.ndarray, used: np.ndarray, spread: LongRun, draws: int = 500, seed: int = 0
 ) -> np.ndarray:
-    """Covariance (p, p) of least squares over ``draws`` noises redrawn from the residual, the motion kept as it was.
+    """Covariance (p, p) of least squares over ``draws`` noise sequences redrawn from the residual, with W fixed.
 
-    Sieve bootstrap (P. Buehlmann, 1997): what the autoregressive model of ``spread`` leaves of the residual (n,) is
-    redrawn in blocks (Politis and Romano; ``arch``) and goes through the model again, so that noise slower than a block
-    keeps its correlation. The columns are the reference's doing, not chance.
+    Sieve bootstrap (P. Buehlmann, 1997): the innovations of the autoregressive model of ``spread`` are redrawn in
+    blocks (Politis and Romano; ``arch``) and filtered by the model again, so that noise slower than a block keeps its
+    correlation. W stays, for the reference determines it, not chance.
 
     >>> W, e = np.ones((400, 1)), np.random.default_rng(0).standard_normal(400)
     >>> used = np.ones(400, dtype=bool)
@@ -152,7 +152,7 @@ def residual_bootstrap(
 
     phi = _coefficients(spread.autocovariance, spread.order)
     whiten = np.concatenate([[1.0], -phi])
-    # Only where every row that the model looks back on took part.
+    # Only rows whose predecessors in the model were all used.
     whole = np.convolve(~used, np.ones(spread.order + 1))[: len(used)] < 0.5
     innovations = lfilter(whiten, [1.0], residual)[whole]
     innovations -= innovations.mean()
@@ -162,28 +162,28 @@ def residual_bootstrap(
     settled = len(_model(spread.autocovariance, spread.order, len(residual)))
     estimates = []
     redrawn = source.bootstrap(-(-draws * (settled + len(residual)) // len(innovations)))
-    left = np.zeros(0)
+    buffer = np.zeros(0)
     for _ in range(draws):
-        while len(left) < settled + len(residual):
-            left = np.concatenate([left, next(redrawn)[0][0]])
-        drawn, left = np.split(left, [settled + len(residual)])
+        while len(buffer) < settled + len(residual):
+            buffer = np.concatenate([buffer, next(redrawn)[0][0]])
+        drawn, buffer = np.split(buffer, [settled + len(residual)])
         estimates.append(solve @ (lfilter([1.0], whiten, drawn)[settled:] * used))
     return np.cov(np.array(estimates), rowvar=False)
 
 
 def _autocovariance(residual: np.ndarray, n: int) -> np.ndarray:
-    # Divided by n at every lag: biased a little towards zero, and always that of some stationary process.
+    # Divided by n at every lag: slightly biased towards zero, but always that of a stationary process.
     return np.array([residual[: len(residual) - lag] @ residual[lag:] for lag in range(LAGS)]) / n
 
 
 def _absorbed(model: np.ndarray, basis: np.ndarray, used: np.ndarray, n: int) -> np.ndarray:
-    """What the regression onto ``basis`` took out of the autocovariance of noise with autocovariance ``model``."""
-    seen = _convolve(model, basis) * used[:, None]
-    back = basis @ (basis.T @ seen)
+    """Autocovariance that a regression onto ``basis`` removes from noise with autocovariance ``model``."""
+    coloured = _convolve(model, basis) * used[:, None]
+    back = basis @ (basis.T @ coloured)
     taken = []
     for lag in range(LAGS):
         head, tail = slice(0, len(basis) - lag), slice(lag, None)
-        pairs = ((basis[head], seen[tail]), (seen[head], basis[tail]), (basis[head], back[tail]))
+        pairs = ((basis[head], coloured[tail]), (coloured[head], basis[tail]), (basis[head], back[tail]))
         once, mirrored, twice = (float(np.einsum("ij,ij->", *pair)) for pair in pairs)
         taken.append(once + mirrored - twice)
     return np.array(taken) / n
@@ -196,7 +196,7 @@ def _coefficients(autocovariance: np.ndarray, order: int) -> np.ndarray:
 
 
 def _innovation(autocovariance: np.ndarray, order: int) -> float:
-    """Variance of what an autoregressive model of ``order`` cannot predict."""
+    """Variance of the innovations of an autoregressive model of ``order``."""
     predicted = _coefficients(autocovariance, order) @ autocovariance[1 : order + 1]
     return max(float(autocovariance[0] - predicted), 1e-12 * float(autocovariance[0]) + 1e-300)
 
@@ -221,9 +221,9 @@ def _convolve(model: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Product of the Toeplitz matrix of ``model`` with ``columns`` (n, p), without the matrix."""
     from scipy.fft import irfft, next_fast_len, rfft
 
-    size = next_fast_len(len(columns) + len(model) - 1, real=True)  # so much that the circle does not close
+    size = next_fast_len(len(columns) + len(model) - 1, real=True)  # long enough against circular wrap-around
     kernel = np.zeros(size)
     kernel[: len(model)] = model
     kernel[size - len(model) + 1 :] = model[:0:-1]
-    seen = rfft(kernel)
-    return np.column_stack([irfft(seen * rfft(column, size), size)[: len(columns)] for column in columns.T])
+    spectrum = rfft(kernel)
+    return np.column_stack([irfft(spectrum * rfft(column, size), size)[: len(columns)] for column in columns.T])
