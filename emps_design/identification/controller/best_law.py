@@ -1,14 +1,12 @@
-"""The law that explains a command best, how well, and what else explains it: search, limit, noise, choice in turn.
+"""The control law that explains a command best, how well it does, and its rivals: search, limit, noise, choice in turn.
 
-Where the limit of a command acts, told from the record and from the law that was found on the other samples.
+The search gives a first candidate. Samples in which the limit acts are found from the record and from the law fitted to
+the other samples. Then terms that are zero are dropped, and rivals are fitted.
 
-From the best candidate of a search to one law: terms that are zero left out, rivals fitted.
-
-A reference that is recorded in coarser steps than the drive has it: what is fed forward is then hidden by them.
-
-Its derivatives are part of the command. Where their rounding is about as loud as what tells derivatives of the profile
-from differences, and as loud as what the law leaves, filters and gains make up for noise that no drive has. A drive
-whose own reference has those steps leaves far less.
+:func:`too_coarse` tests for a reference that is recorded more coarsely than the drive has it. Its derivatives are part
+of the command. Where their rounding noise is as large as the difference between the possible sources of feed-forward,
+and as large as the residual, fitted filters and gains compensate noise that the drive does not have. A drive whose own
+reference has those steps leaves a far smaller residual.
 """
 
 from __future__ import annotations
@@ -50,28 +48,28 @@ from emps_design.identification.controller.regressors import (
 from emps_design.identification.controller.search import search
 from emps_design.laws.estimators import estimator_in_words
 
-PLATEAU = 3  # samples in a row at the largest command that may be the limit
+PLATEAU = 3  # successive samples at the largest command that may be the limit
 NOISE = 6.0  # deviations of the noise below the largest command that still count as it
 AT = 3.0  # deviations of the noise below the limit that a limited sample may be
-FEWEST_BEYOND = 5  # samples beyond the limit that show it
+FEWEST_BEYOND = 5  # samples beyond the limit that prove it
 
 NEARBY = 60.0  # of the criterion, at first order: closer ones are fitted in full
 FITTED = 3  # of them at most
 
-HOLDS = 0.05  # of the command's deviation: a law that leaves more is none
-AS_GOOD = 6.0  # of the information criterion, odds of 20 : 1: a rival closer than that cannot be told apart
+HOLDS = 0.05  # of the command's deviation: a law with a larger residual does not explain it
+AS_GOOD = 6.0  # of the information criterion, odds of 20 : 1: a closer rival is ambiguous
 LIMIT_ROUNDS = 4
-FEWEST = 200  # samples without a limit that a search begins anew with
-WORSE_THERE = 1.5  # times what is left elsewhere, where a command that is flat is limited
-WORSE = 1.1  # times what is left with the integral free behind each plateau: what it did there is then not told
+FEWEST = 200  # samples without a limit for another search
+WORSE_THERE = 1.5  # times the residual elsewhere: a larger one on a plateau means that the limit acts
+WORSE = 1.1  # times the cost with the integral free behind each plateau: above it anti-windup is not determined
 
 LOUD = 0.5  # of the difference between the sources
-ALIKE = 5.0  # times: what is left is of the size of this noise
+ALIKE = 5.0  # factor within which the residual is of the size of the rounding noise
 FED_FORWARD = [PLACE["slip"], PLACE["acceleration"]]
 
 
 def plateau(command: np.ndarray) -> np.ndarray:
-    """Samples (n,) in which ``command`` may be limited: in a row at its largest size, as far as its noise tells.
+    """Mask (n,) of the samples in which ``command`` may be limited: runs at its largest size, within its noise.
 
     >>> plateau(np.array([0.0, 1.0, 2.0, 2.0, 2.0, 1.0, -1.0, 0.5])).tolist()
     [False, False, True, True, True, False, False, False]
@@ -99,7 +97,7 @@ def longest_between(limited: np.ndarray) -> slice:
 
 
 def acting(command: np.ndarray, wanted: np.ndarray, noise: float) -> tuple[np.ndarray, float | None]:
-    """Samples (n,) in which the limit acts, and the limit; ``wanted`` (n,) is what the law gives without one.
+    """Mask (n,) of the samples in which the limit acts, and the limit; ``wanted`` (n,) is the law's unlimited command.
 
     >>> acting(np.array([1.0, 2.0] + [3.0] * 9), np.array([1.0, 2.0] + [4.0] * 9), 0.01)[1]
     3.0
@@ -119,90 +117,90 @@ def choose(
 ) -> tuple[LawFit, list[LawFit]]:
     """The fit whose rivals are all worse, and these rivals, the best first.
 
-    A filter must be ``worth`` so much of the information criterion, and so must one in the velocity estimator.
+    A filter must gain ``worth`` of the information criterion, and so must one in the velocity estimator.
     """
-    found, known = simplify(signals, fit(signals, start, limited), worth, limited), set()
+    law, known = simplify(signals, fit(signals, start, limited), worth, limited), set()
     while True:
-        others = rivals(signals, found, limited)
-        if not found.seeks_estimator:
-            enough = found.criterion - worth
-            others = [one for one in others if one.criterion < enough or not one.seeks_estimator]
-        # To leave a filter out may cost something: two laws could take turns.
-        if not others or others[0].criterion >= found.criterion - 1e-6 or _shape(found) in known:
-            return found, others
-        known.add(_shape(found))
-        found = simplify(signals, others[0], worth, limited)
+        others = rivals(signals, law, limited)
+        if not law.seeks_estimator:
+            enough = law.criterion - worth
+            others = [rival for rival in others if rival.criterion < enough or not rival.seeks_estimator]
+        # Dropping a filter may cost something, so that two laws could alternate.
+        if not others or others[0].criterion >= law.criterion - 1e-6 or _shape(law) in known:
+            return law, others
+        known.add(_shape(law))
+        law = simplify(signals, others[0], worth, limited)
 
 
-def _shape(found: LawFit) -> tuple[object, ...]:
-    """A law without its numbers."""
-    estimator = found.timing.velocity_estimator
+def _shape(law: LawFit) -> tuple[object, ...]:
+    """The structure of a law, without its numbers."""
+    estimator = law.timing.velocity_estimator
     kind = estimator_in_words(estimator) if not sought(estimator) else getattr(estimator, "kind", "")
-    timing = replace(found.timing, velocity_estimator=kind)
-    return found.structure, timing, tuple(one.kind for one in found.filters)
+    timing = replace(law.timing, velocity_estimator=kind)
+    return law.structure, timing, tuple(stage.kind for stage in law.filters)
 
 
-def simplify(signals: ControllerSignals, found: LawFit, worth: float, limited: np.ndarray | None) -> LawFit:
-    """Leave out terms and filters one at a time, as long as the information criterion does not mind."""
+def simplify(signals: ControllerSignals, law: LawFit, worth: float, limited: np.ndarray | None) -> LawFit:
+    """Drop terms and filters one at a time, as long as the information criterion does not increase."""
     while True:
-        fewer = [(*found.filters[:i], *found.filters[i + 1 :]) for i in range(len(found.filters))]
-        trials = [replace(found, structure=one) for one in found.structure.simpler]
-        trials += [replace(found, filters=filters) for filters in fewer]
-        if found.seeks_estimator:
-            named = [replace(found.timing, velocity_estimator=one) for one in ESTIMATORS]
-            trials += [replace(found, timing=timing) for timing in named]
-        for refit in _in_full(signals, trials, limited, found.criterion + NEARBY + worth):
-            less = len(refit.filters) < len(found.filters) or found.seeks_estimator > refit.seeks_estimator
+        fewer = [(*law.filters[:i], *law.filters[i + 1 :]) for i in range(len(law.filters))]
+        trials = [replace(law, structure=structure) for structure in law.structure.simpler]
+        trials += [replace(law, filters=filters) for filters in fewer]
+        if law.seeks_estimator:
+            named = [replace(law.timing, velocity_estimator=estimator) for estimator in ESTIMATORS]
+            trials += [replace(law, timing=timing) for timing in named]
+        for refit in _in_full(signals, trials, limited, law.criterion + NEARBY + worth):
+            less = len(refit.filters) < len(law.filters) or law.seeks_estimator > refit.seeks_estimator
             allowed = worth if less else 0.0
-            if refit.criterion < found.criterion + allowed:
-                found = refit
+            if refit.criterion < law.criterion + allowed:
+                law = refit
                 break
         else:
-            if found.structure.feeds_forward:
-                return found
-            return replace(found, timing=replace(found.timing, profile=False))
+            if law.structure.feeds_forward:
+                return law
+            return replace(law, timing=replace(law.timing, profile=False))
 
 
-def rivals(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> list[LawFit]:
-    """The best other fit for each thing that could be otherwise (estimator, delay, form), the best first.
+def rivals(signals: ControllerSignals, law: LawFit, limited: np.ndarray | None) -> list[LawFit]:
+    """The best alternative fit for each choice (estimator, delay, form), the best first.
 
-    Of the position loop's samples, and of estimators beside one with a number, the best few: more than one may explain
-    a record as well.
+    For the position loop's samples, and for estimators where the law's has a number, the best few: more than one may
+    explain a record as well.
     """
-    timing = found.timing
-    loops = [replace(found, timing=loop) for loop in _other_loops(found)]
+    timing = law.timing
+    loops = [replace(law, timing=loop) for loop in _other_loops(law)]
     kinds: list[Iterable[LawFit]] = [
-        [replace(found, timing=replace(timing, delay=delay)) for delay in DELAYS if delay != timing.delay],
-        [replace(found, structure=structure) for structure in _other_forms(found.structure)],
+        [replace(law, timing=replace(timing, delay=delay)) for delay in DELAYS if delay != timing.delay],
+        [replace(law, structure=structure) for structure in _other_forms(law.structure)],
     ]  # fmt: skip
     estimated: list[LawFit] = []
-    if found.structure.velocity:
+    if law.structure.velocity:
         instead = rivals_of(timing.velocity_estimator, signals.period)
-        estimated = [replace(found, timing=replace(timing, velocity_estimator=one)) for one in instead]
+        estimated = [replace(law, timing=replace(timing, velocity_estimator=estimator)) for estimator in instead]
         if isinstance(timing.velocity_estimator, str):
             kinds, estimated = [*kinds, estimated], []
-    if found.structure.feeds_forward and not signals.velocity_reference:  # a filter may stand in for either
+    if law.structure.feeds_forward and not signals.velocity_reference:  # a filter may imitate source or estimator
         instead = could_pass_for(timing.velocity_estimator)
-        filters = [found.filters, *(found.filters[:i] + found.filters[i + 1 :] for i in range(len(found.filters)))]
-        sources = [(some, one) for some in filters for one in _sources(timing, instead)]
-        kinds.append([replace(found, filters=some, timing=one) for some, one in sources if one != timing])
+        filters = [law.filters, *(law.filters[:i] + law.filters[i + 1 :] for i in range(len(law.filters)))]
+        sources = [(some, source) for some in filters for source in _sources(timing, instead)]
+        kinds.append([replace(law, filters=some, timing=source) for some, source in sources if source != timing])
     others = [*_in_full(signals, loops, limited), *_in_full(signals, estimated, limited)]
     best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
-    others += [one for one in best if one is not None]
+    others += [rival for rival in best if rival is not None]
     return sorted(others, key=lambda f: f.criterion)
 
 
-def mirrored(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> LawFit | None:
-    """The other minimum of a cascade whose position loop and integral may change places, None where there is none.
+def mirrored(signals: ControllerSignals, law: LawFit, limited: np.ndarray | None) -> LawFit | None:
+    """The other minimum of a cascade, with the rates of position loop and integral exchanged; None where there is none.
 
-    With a reference velocity taken whole and a position loop in every sample it is the very same law.
+    With the whole reference velocity and a position loop in every sample it is exactly the same law.
     """
-    kp, wi = found.position_rate, found.wi
-    if found.structure.form != "pi" or not kp > 0.0:
+    kp, wi = law.position_rate, law.wi
+    if law.structure.form != "pi" or not kp > 0.0:
         return None
     middle = float(np.sqrt(kp * wi))
     within = (middle, 4.0 * max(kp, wi)) if wi < middle else (0.25 * min(kp, wi), middle)
-    other = fit(signals, found, limited, within)
+    other = fit(signals, law, limited, within)
     inner = within[0] * 1.02 < other.wi < within[1] / 1.02
     return other if inner and other.stabilising else None
 
@@ -210,29 +208,29 @@ def mirrored(signals: ControllerSignals, found: LawFit, limited: np.ndarray | No
 def _in_full(
     signals: ControllerSignals, trials: Iterable[LawFit], limited: np.ndarray | None, worst: float = np.inf
 ) -> Iterator[LawFit]:
-    """The trials that stabilise, fitted, the most promising first; those with an estimate beyond ``worst`` left out."""
-    estimates = [(_first_order(signals, one, limited), i, one) for i, one in enumerate(trials)]
-    for estimate, _, one in sorted(estimates, key=lambda pair: pair[:2])[:FITTED]:
+    """Fits of the stabilising ``trials``, the most promising first; none whose estimate exceeds ``worst``."""
+    estimates = [(_first_order(signals, trial, limited), i, trial) for i, trial in enumerate(trials)]
+    for estimate, _, trial in sorted(estimates, key=lambda pair: pair[:2])[:FITTED]:
         if estimate > worst:
             return
-        refit = fit(signals, one, limited)
+        refit = fit(signals, trial, limited)
         if refit.stabilising:
             yield refit
 
 
-def _first_order(signals: ControllerSignals, one: LawFit, limited: np.ndarray | None) -> float:
-    """Criterion of a fit after one step of its filters, infinite where it would not stabilise."""
-    raw = regressors(signals, one.timing, limited)
-    columns = filtered(one.filters, raw, signals.period)
-    wi, linear, _, cost = solve(compress(signals, columns), one.structure, signals.period)
-    now = replace(one, wi=wi, linear=linear, cost=cost)
+def _first_order(signals: ControllerSignals, trial: LawFit, limited: np.ndarray | None) -> float:
+    """Criterion of a fit after one step of its filters, infinite where it does not stabilise."""
+    raw = regressors(signals, trial.timing, limited)
+    columns = filtered(trial.filters, raw, signals.period)
+    wi, linear, _, cost = solve(compress(signals, columns), trial.structure, signals.period)
+    now = replace(trial, wi=wi, linear=linear, cost=cost)
     if not now.stabilising:
         return np.inf
     own = estimator_slope(signals, now, limited)
-    if one.filters or own:
-        slopes = np.column_stack([derivatives(one.filters, raw @ now.beta, signals.period), *own])
+    if trial.filters or own:
+        slopes = np.column_stack([derivatives(trial.filters, raw @ now.beta, signals.period), *own])
         near = (wi / 1.5, wi * 1.5) if wi else None
-        *_, cost = solve(compress(signals, columns, slopes), one.structure, signals.period, near)
+        *_, cost = solve(compress(signals, columns, slopes), trial.structure, signals.period, near)
     return replace(now, cost=cost).criterion
 
 
@@ -246,17 +244,17 @@ def _other_forms(structure: LawStructure) -> list[LawStructure]:
     return [replace(structure, form=other, share=share) for share in dict.fromkeys((structure.share, None))]
 
 
-def _other_loops(found: LawFit) -> list[Timing]:
-    """Other rates of the position loop from the first sample on, and other samples for the rate that was found."""
-    if not found.structure.position:
+def _other_loops(law: LawFit) -> list[Timing]:
+    """Other rates of the position loop from the first sample on, and other first samples for the present rate."""
+    if not law.structure.position:
         return []
-    loops = [(every, 0) for every in EVERY] + [(found.timing.every, phase) for phase in range(1, found.timing.every)]
-    timings = [replace(found.timing, every=every, phase=phase) for every, phase in loops]
-    if found.structure.feeds_forward:  # a rate is not seen from a source that is not the drive's
-        own = found.timing.velocity_estimator
+    loops = [(every, 0) for every in EVERY] + [(law.timing.every, phase) for phase in range(1, law.timing.every)]
+    timings = [replace(law.timing, every=every, phase=phase) for every, phase in loops]
+    if law.structure.feeds_forward:  # with a wrong source of feed-forward the rate does not show
+        own = law.timing.velocity_estimator
         estimators = dict.fromkeys((*ESTIMATORS, own))
         timings = [source for timing in timings for source in _sources(timing, list(estimators))]
-    return [timing for timing in timings if timing != found.timing]
+    return [timing for timing in timings if timing != law.timing]
 
 
 def _sources(timing: Timing, estimators: Sequence[AnyEstimator]) -> list[Timing]:
@@ -266,7 +264,7 @@ def _sources(timing: Timing, estimators: Sequence[AnyEstimator]) -> list[Timing]
 
 @dataclass(frozen=True)
 class BestLaw:
-    """The law that explains a command best, and how well: ``share`` of the command's deviation is left."""
+    """The law that explains a command best; its residual is ``rms``, a ``share`` of the command's deviation."""
 
     signals: ControllerSignals  # whitened
     fit: LawFit
@@ -275,22 +273,22 @@ class BestLaw:
     share: float
     limited: np.ndarray | None
     limit: float | None
-    holds: bool | None  # None: not told
+    holds: bool | None  # whether the integral stops at the limit; None: not determined
 
     @property
     def held(self) -> np.ndarray | None:
-        """Samples (n,) in which the integral stands still."""
+        """Mask (n,) of the samples in which the integral stops."""
         return self.limited if self.holds else None
 
     def apart(self, other: LawFit) -> float:
-        """Standard deviations of the noise between the commands of the law and of ``other``, over all samples."""
-        one, another = (command_of(self.signals, law, self.held) for law in (self.fit, other))
+        """Norm of the difference between the commands of the law and of ``other``, in deviations of the noise."""
+        own, another = (command_of(self.signals, law, self.held) for law in (self.fit, other))
         noise = np.sqrt(self.fit.cost / self.fit.samples)
-        return float(np.linalg.norm(self.signals.counted(one - another)) / noise)
+        return float(np.linalg.norm(self.signals.counted(own - another)) / noise)
 
 
 def best_law(signals: ControllerSignals, only: LawStructure | None = None) -> BestLaw:
-    """The law that explains the command best, whatever that is worth; of the structure ``only`` where that is given."""
+    """The law that explains the command best, however well; of the structure ``only`` where that is given."""
     flat = plateau(signals.command) & signals.used
     worth, none = 0.0, tuple[CommandFilter, ...]()
     attempts = []
@@ -306,14 +304,14 @@ def best_law(signals: ControllerSignals, only: LawStructure | None = None) -> Be
         else:
             structure, timing, filters = only, Timing(), none
         start = LawFit(replace(structure, offset=True), timing, filters, 0.0, np.zeros(0), 1.0, 1)
-        if flat.any() and not signals.velocity_reference:  # a search takes a clipped peak for a filtered one
+        if flat.any() and not signals.velocity_reference:  # a search mistakes a clipped peak for a filtered one
             free = replace(signals, used=signals.used & ~flat)
             plain = LawFit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
-            start = min((fit(free, one) for one in (start, plain)), key=lambda one: one.criterion)
+            start = min((fit(free, trial) for trial in (start, plain)), key=lambda trial: trial.criterion)
         free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
-        left = _left(free, fitted, limited if holds else None)
-        attempts.append((float(np.std(left[free.used])), worth, free, fitted, limited, limit, holds))
-        if only is not None or (limit is None and _as_good_there(signals, left, flat)):
+        residual = _residual(free, fitted, limited if holds else None)
+        attempts.append((float(np.std(residual[free.used])), worth, free, fitted, limited, limit, holds))
+        if only is not None or (limit is None and _as_good_there(signals, residual, flat)):
             break
     _, worth, free, fitted, limited, limit, holds = min(attempts, key=lambda attempt: attempt[0])
     held = limited if holds else None
@@ -321,21 +319,21 @@ def best_law(signals: ControllerSignals, only: LawStructure | None = None) -> Be
         free = replace(free, levels=None, records=False)
         fitted = fit(free, fitted, held)
     white, fitted, rivals = _chosen(free, fitted, only is None, worth, held)
-    if limit is not None and holds is None:  # where the integral stands still may be told by the whole law alone
+    if limit is not None and holds is None:  # the final law may determine whether the integral stops
         again = _up_to_the_limit(signals, replace(fitted, structure=replace(fitted.structure, offset=True)), flat)
         if again[-1] is not None:
             free, fitted, limited, limit, holds = again
             held = limited if holds else None
             white, fitted, rivals = _chosen(free, fitted, only is None, worth, held)
     if (other := mirrored(white, fitted, held)) is not None:
-        # Alike, the position loop is taken to be the slower of the two, as it is where people set it.
+        # Where both are equal, the position loop is taken as the slower one, as it is usually tuned.
         if other.criterion < fitted.criterion - AS_GOOD or (
             other.criterion < fitted.criterion + AS_GOOD and other.position_rate < other.wi
         ):
             fitted, other = other, fitted
         rivals = [other, *rivals]
     fitted, *rivals = map(_in_order, (fitted, *rivals))
-    rms = float(np.sqrt(np.mean(_left(free, fitted, held)[free.used] ** 2)))
+    rms = float(np.sqrt(np.mean(_residual(free, fitted, held)[free.used] ** 2)))
     share = rms / float(np.std(signals.command[free.used]))
     return BestLaw(white, fitted, rivals, rms, share, limited, limit, holds)
 
@@ -343,62 +341,63 @@ def best_law(signals: ControllerSignals, only: LawStructure | None = None) -> Be
 def _chosen(
     free: ControllerSignals, start: LawFit, rivalled: bool, worth: float, held: np.ndarray | None
 ) -> tuple[ControllerSignals, LawFit, list[LawFit]]:
-    """The signals behind a filter that makes what ``start`` leaves white, the law there, and its rivals if wanted."""
+    """The signals behind a filter that whitens the residual of ``start``, the law fitted to them, and its rivals."""
     fitted = simplify(free, start, worth, held)
-    whitening = whitening_filter(_left(free, fitted, held), free.used) if free.times is None else free.whitening
+    whitening = whitening_filter(_residual(free, fitted, held), free.used) if free.times is None else free.whitening
     white = replace(free, whitening=whitening, used=usable_behind(free.used, whitening))
     if rivalled:
         return white, *choose(white, fitted, worth, held)
     return white, simplify(white, fit(white, fitted, held), worth, held), []
 
 
-def _in_order(found: LawFit) -> LawFit:
-    """``found`` with its filters by kind and frequency: which of two was found first is a matter of the last digit."""
-    return replace(found, filters=tuple(sorted(found.filters, key=lambda one: (one.kind, one.frequency))))
+def _in_order(law: LawFit) -> LawFit:
+    """``law`` with its filters sorted by kind and frequency, for the order of fitting depends on rounding."""
+    return replace(law, filters=tuple(sorted(law.filters, key=lambda stage: (stage.kind, stage.frequency))))
 
 
-def command_of(signals: ControllerSignals, found: LawFit, held: np.ndarray | None) -> np.ndarray:
+def command_of(signals: ControllerSignals, law: LawFit, held: np.ndarray | None) -> np.ndarray:
     """Command (n,) of a fit without its limit."""
-    return filtered(found.filters, regressors(signals, found.timing, held) @ found.beta, signals.period)
+    return filtered(law.filters, regressors(signals, law.timing, held) @ law.beta, signals.period)
 
 
-def _left(signals: ControllerSignals, found: LawFit, held: np.ndarray | None) -> np.ndarray:
-    """What a fit leaves (n,) of the command in the samples that count, 0 in others."""
-    left = np.zeros(len(signals))
-    left[signals.used] = signals.counted(signals.command - command_of(signals, found, held))
-    return left
+def _residual(signals: ControllerSignals, law: LawFit, held: np.ndarray | None) -> np.ndarray:
+    """Residual (n,) of a fit in the samples that count, 0 in others."""
+    residual = np.zeros(len(signals))
+    residual[signals.used] = signals.counted(signals.command - command_of(signals, law, held))
+    return residual
 
 
-def _as_good_there(signals: ControllerSignals, left: np.ndarray, flat: np.ndarray) -> bool:
-    """Whether a law without a limit explains what is ``flat`` (n,) as well as the rest: then none acts there."""
+def _as_good_there(signals: ControllerSignals, residual: np.ndarray, flat: np.ndarray) -> bool:
+    """Whether a law without a limit explains the samples ``flat`` (n,) as well as the rest: none acts then."""
     there, rest = flat & signals.used, ~flat & signals.used
     if not there.any():
         return True
     at_all = HOLDS * float(np.std(signals.command[signals.used]))
-    of_rest = float(np.sqrt(np.mean(left[rest] ** 2)))
-    return of_rest <= at_all and float(np.sqrt(np.mean(left[there] ** 2))) <= WORSE_THERE * of_rest
+    of_rest = float(np.sqrt(np.mean(residual[rest] ** 2)))
+    return of_rest <= at_all and float(np.sqrt(np.mean(residual[there] ** 2))) <= WORSE_THERE * of_rest
 
 
-def _wanted(signals: ControllerSignals, found: LawFit, held: np.ndarray | None) -> np.ndarray:
+def _wanted(signals: ControllerSignals, law: LawFit, held: np.ndarray | None) -> np.ndarray:
     """Command (n,) of a fit without its limit, with the constant of each level."""
-    command = command_of(signals, found, held)
+    command = command_of(signals, law, held)
     if signals.levels is None:
         return command
-    known, left, count = signals.levels[signals.used], (signals.command - command)[signals.used], signals.levels[-1] + 1
-    means = np.bincount(known, left, count) / np.maximum(np.bincount(known, None, count), 1)
+    known, residual = signals.levels[signals.used], (signals.command - command)[signals.used]
+    count = signals.levels[-1] + 1
+    means = np.bincount(known, residual, count) / np.maximum(np.bincount(known, None, count), 1)
     return command + means[signals.levels]
 
 
 def _up_to_the_limit(
     signals: ControllerSignals, start: LawFit, flat: np.ndarray
 ) -> tuple[ControllerSignals, LawFit, np.ndarray | None, float | None, bool | None]:
-    """Fit the samples in which no limit acts; where it does, by the law that is found itself.
+    """Fit the samples in which no limit acts, alternating between the law and the samples that it shows to be limited.
 
-    Returns the signals that count, the fit, where the limit acts, the limit, and whether the integral holds there.
+    Returns the signals that count, the fit, where the limit acts, the limit, and whether the integral stops there.
     """
     if not flat.any():
         return signals, fit(signals, start), None, None, True
-    # At first nobody knows where the integral stood still: it may have any value behind each plateau.
+    # At first it is unknown where the integral stopped: it may have any value behind each plateau.
     levels = np.cumsum(np.diff(flat.astype(int), prepend=0) == -1) + (0 if signals.levels is None else signals.levels)
     apart = replace(signals, used=signals.used & ~flat, levels=levels, records=False)
     loose = fit(apart, start)
@@ -428,9 +427,9 @@ def _up_to_the_limit(
     return best
 
 
-def too_coarse(found: BestLaw) -> float:
-    """The step of the reference where it hides what is fed forward, 0 where it does not."""
-    signals, law = found.signals, found.fit
+def too_coarse(best: BestLaw) -> float:
+    """The resolution of the reference where it hides the feed-forward, 0 where it does not."""
+    signals, law = best.signals, best.fit
     step = 0.0 if signals.velocity_reference or not law.structure.feeds_forward else resolution(signals.reference)
     if not step:
         return 0.0
@@ -442,7 +441,7 @@ def too_coarse(found: BestLaw) -> float:
     def rms(table: np.ndarray) -> float:
         return float(np.sqrt(np.mean((table[:, FED_FORWARD] @ gains)[signals.used] ** 2)))
 
-    noise, left = (rms(regressors(steps, timing)) for timing in (difference, law.timing))
+    noise, law_noise = (rms(regressors(steps, timing)) for timing in (difference, law.timing))
     apart = rms(regressors(signals, profile) - regressors(signals, difference))
     own = max(apart**2 - noise**2, 0.0) ** 0.5
-    return step if noise > LOUD * own and left / ALIKE < found.rms < ALIKE * left else 0.0
+    return step if noise > LOUD * own and law_noise / ALIKE < best.rms < ALIKE * law_noise else 0.0

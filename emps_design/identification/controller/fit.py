@@ -1,16 +1,14 @@
-"""Least squares of one structure: linear gains and the integral time inside, the filters' numbers outside.
+"""Least-squares fit of one control law: linear gains and integral time inside, the filters' numbers outside.
 
 The regressors of a record are compressed once to a triangle (QR), on which every structure is tried without touching
-the samples again. The filters' numbers are found by Gauss and Newton: their derivatives are further columns.
+the samples again. The filters' numbers are fitted by Gauss-Newton, with their derivatives as further columns.
 
-Filters of the command, in discrete time: coefficients by the bilinear transform without prewarping.
+A filter of the command is a kind and its fitted numbers, in logarithms, so that every step is admissible; only the
+depth of a notch is linear, for it may be 0. Its discrete coefficients follow from the bilinear transform without
+prewarping.
 
-A filter is a kind and the numbers that are sought: logarithms, so that no step leaves what a filter can be; the depth
-of a notch is taken as it is, for it may be 0.
-
-What the noise of a command is like: its prediction error filter, and its deviation, deaf to a few bursts.
-
-From a fit to numbers by name with their standard deviations.
+The noise of a command is described by its prediction error filter and a robust deviation. The covariance of a fit gives
+the standard deviation of each number by name.
 """
 
 from __future__ import annotations
@@ -38,23 +36,23 @@ from emps_design.identification.controller.regressors import (
 from emps_design.identification.statistics import hac_covariance
 from emps_design.laws.estimators import NUMBERS, Estimator
 
-# What a filter that is sought can be. Beyond half the sampling frequency a low-pass does nothing that shows.
+# Bounds of a fitted filter. Beyond half the sampling frequency a low-pass has no visible effect.
 CORNER = {"lowpass": (1e-4, 0.6), "notch": (1e-4, 0.48)}  # of the sampling frequency
-DAMPING, DEPTH = (0.01, 2.0), (-0.3, 1.0)  # a depth below 0 is no notch: it is noise about 0, and said to be 0
-FILTER_STEP = 1e-4  # of a sought number, for its derivative
+DAMPING, DEPTH = (0.01, 2.0), (-0.3, 1.0)  # a fitted depth below 0 is noise about 0 and reported as 0
+FILTER_STEP = 1e-4  # of a fitted number, for its derivative
 
-SCAN, FINE_SCAN = 41, 21  # integral rates tried, from one that does nothing on to a third of the sampling frequency
-NEAR = 1.5  # times the last integral rate, while filters move
-ROUNDS = 30  # of Gauss and Newton, at most
-LARGEST = 0.5  # change of a filter's number in one round
-SHORTER, SHORTEST = 0.3, 1e-3  # share of a step that is tried where the whole one gained nothing
+SCAN, FINE_SCAN = 41, 21  # integral rates tried, from a negligible one to a third of the sampling frequency
+NEAR = 1.5  # times the last integral rate: bounds while filters move
+ROUNDS = 30  # Gauss-Newton iterations, at most
+LARGEST = 0.5  # change of a filter's number in one iteration
+SHORTER, SHORTEST = 0.3, 1e-3  # factor on a step without gain, and the least share of a step
 CONVERGED = 1e-9  # of the cost
-RANK = 1e-10  # of the largest singular value: columns that are smaller tell nothing
+RANK = 1e-10  # of the largest singular value: smaller ones count as zero
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # of the autoregressive model, by the information criterion
 ROWS_PER_ORDER = 50
 
-DIFFERENCE = 1e-6  # of a sought number
+DIFFERENCE = 1e-6  # of a fitted number, for its derivative
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ class CommandFilter:
         return cls("notch", (float(np.log(frequency)), float(np.log(damping)), float(depth)))
 
     def within(self, period: float) -> tuple[tuple[float, float, float], ...]:
-        """Each sought number, with the bounds of what it can be at this ``period`` [s]."""
+        """Each fitted number with its lower and upper bound at this ``period`` [s]."""
         return tuple((x, low, high) for x, (low, high) in zip(self.numbers, _bounds(self.kind, period), strict=False))
 
     @property
@@ -113,7 +111,7 @@ class CommandFilter:
         return top, np.array([1.0 + width + half * half, middle, 1.0 - width + half * half])
 
     def slopes(self, period: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        """How numerator and denominator in z^-1 change with each sought number.
+        """Derivatives of numerator and denominator in z^-1 with respect to each fitted number.
 
         >>> low = CommandFilter.lowpass(100.0)
         >>> (numerator, denominator), = low.slopes(1e-3)
@@ -135,37 +133,37 @@ class CommandFilter:
 
 @cache
 def _bounds(kind: str, period: float) -> tuple[tuple[float, float], ...]:
-    """What the sought numbers of a filter can be at this ``period`` [s]."""
+    """Bounds of a filter's fitted numbers at this ``period`` [s]."""
     lowest, highest = (float(np.log(share / period)) for share in CORNER[kind])
     return (lowest, highest), (float(np.log(DAMPING[0])), float(np.log(DAMPING[1]))), DEPTH
 
 
 def moved(filters: tuple[CommandFilter, ...], steps: np.ndarray, period: float) -> tuple[CommandFilter, ...]:
-    """The ``filters`` with their numbers changed by ``steps``, kept within what a filter can be at this ``period``."""
-    left, done = iter(steps), []
-    for one in filters:
-        numbers = [min(max(x + next(left), low), high) for x, low, high in one.within(period)]
-        done.append(CommandFilter(one.kind, tuple(map(float, numbers))))
+    """The ``filters`` with their numbers changed by ``steps``, kept within their bounds at this ``period`` [s]."""
+    remaining, done = iter(steps), []
+    for stage in filters:
+        numbers = [min(max(x + next(remaining), low), high) for x, low, high in stage.within(period)]
+        done.append(CommandFilter(stage.kind, tuple(map(float, numbers))))
     return tuple(done)
 
 
 def filtered(filters: tuple[CommandFilter, ...], columns: np.ndarray, period: float) -> np.ndarray:
-    """``columns`` (n, ...) through the ``filters`` in order, which stood still at the first row before it."""
+    """``columns`` (n, ...) through the ``filters`` in order, initially in steady state at the first row."""
     first = columns[:1]
     rest = columns - first
-    for one in filters:
-        rest = lfilter(*one.coefficients(period), rest, axis=0)
+    for stage in filters:
+        rest = lfilter(*stage.coefficients(period), rest, axis=0)
     return rest + first
 
 
 def derivatives(filters: tuple[CommandFilter, ...], x: np.ndarray, period: float) -> np.ndarray:
-    """How ``x`` (n,) behind the filters changes with each sought number, (n, n_numbers)."""
+    """Derivatives of the filtered ``x`` (n,) with respect to each fitted number, (n, n_numbers)."""
     columns = []
-    for i, one in enumerate(filters):
-        for j, number in enumerate(one.numbers):
+    for i, stage in enumerate(filters):
+        for j, number in enumerate(stage.numbers):
             ends = []
             for step in (FILTER_STEP, -FILTER_STEP):
-                moved = CommandFilter(one.kind, (*one.numbers[:j], number + step, *one.numbers[j + 1 :]))
+                moved = CommandFilter(stage.kind, (*stage.numbers[:j], number + step, *stage.numbers[j + 1 :]))
                 ends.append(filtered((*filters[:i], moved, *filters[i + 1 :]), x, period))
             columns.append((ends[0] - ends[1]) / (2 * FILTER_STEP))
     return np.column_stack(columns) if columns else np.zeros((x.size, 0))
@@ -173,8 +171,8 @@ def derivatives(filters: tuple[CommandFilter, ...], x: np.ndarray, period: float
 
 @dataclass(frozen=True)
 class LawFit:
-    """A structure with its numbers: integral rate ``wi`` [1/s], ``linear`` coefficients, ``filters``; ``cost`` is the
-    sum of squares that is left of ``samples``."""
+    """A fitted law: integral rate ``wi`` [1/s], ``linear`` coefficients, ``filters``; ``cost`` is the residual sum of
+    squares over ``samples``."""
 
     structure: LawStructure
     timing: Timing
@@ -186,12 +184,12 @@ class LawFit:
 
     @property
     def size(self) -> int:
-        """How many numbers were fitted."""
+        """Number of fitted parameters."""
         return self.structure.size + sum(len(f.numbers) for f in self.filters) + self.seeks_estimator
 
     @property
     def seeks_estimator(self) -> bool:
-        """Whether its velocity estimator has a number that is sought, as a filter has."""
+        """Whether the velocity estimator has a number to be fitted."""
         return self.structure.velocity and sought(self.timing.velocity_estimator)
 
     @property
@@ -202,7 +200,7 @@ class LawFit:
 
     @property
     def stabilising(self) -> bool:
-        """Whether it feeds back with the sign of a controller."""
+        """Whether it feeds back with a stabilising sign."""
         return bool(self.structure.stabilising(self.linear))
 
     @property
@@ -225,18 +223,18 @@ class LawFit:
 
 @dataclass(frozen=True)
 class Compressed:
-    """Regressors, filter derivatives and command of one record, as a triangle of as many rows."""
+    """Regressors, filter derivatives and command of one record, reduced to their triangular factor."""
 
     table: np.ndarray  # (rows, len(COLUMNS)), each column over its norm
     norms: np.ndarray
     slopes: np.ndarray  # (rows, n_numbers)
     target: np.ndarray
-    rest: float  # sum of squares that no column reaches
+    rest: float  # sum of squares that no column can explain
     samples: int
 
 
 def compress(signals: ControllerSignals, columns: np.ndarray, slopes: np.ndarray | None = None) -> Compressed:
-    """Take ``columns`` (n, len(COLUMNS)) behind the filters, and ``slopes`` (n, n_numbers), to a triangle."""
+    """Triangular factor of filtered ``columns`` (n, len(COLUMNS)), ``slopes`` (n, n_numbers) and the command."""
     slopes = np.zeros((len(signals), 0)) if slopes is None else slopes
     stacked = signals.counted(np.column_stack([columns, slopes, signals.command]))
     norms = np.linalg.norm(stacked, axis=0)
@@ -267,13 +265,13 @@ def solve(
 
     def at(wi: float) -> tuple[float, np.ndarray, np.ndarray]:
         columns, scale = scaled(wi)
-        found = np.linalg.lstsq(columns, c.target, rcond=RANK)[0]
-        left, found = c.target - columns @ found, found / scale
-        width = len(found) - c.slopes.shape[1]
-        return float(left @ left) + c.rest, found[:width], found[width:]
+        coefficients = np.linalg.lstsq(columns, c.target, rcond=RANK)[0]
+        residual, coefficients = c.target - columns @ coefficients, coefficients / scale
+        width = len(coefficients) - c.slopes.shape[1]
+        return float(residual @ residual) + c.rest, coefficients[:width], coefficients[width:]
 
-    def left_by(rates: np.ndarray) -> np.ndarray:
-        """Squares (k,) that each of the ``rates`` leaves, but for the rest; all of them in one decomposition."""
+    def squares_by_rate(rates: np.ndarray) -> np.ndarray:
+        """Residual squares (k,) for each of the ``rates``, without the constant rest; in one decomposition."""
         sides, sizes, _ = np.linalg.svd(scaled(rates)[0], full_matrices=False)
         reached = (sides.swapaxes(1, 2) @ c.target) * (sizes > RANK * sizes[:, :1])
         return np.sum((c.target - (sides @ reached[..., None])[..., 0]) ** 2, axis=1)
@@ -282,15 +280,15 @@ def solve(
         cost, linear, steps = at(0.0)
         return 0.0, linear, steps, cost
     low, high = within or (1e-3 / (c.samples * period), 0.3 / period)
-    # Twice, for a position loop and an integral of nearly one rate may change places: two minima side by side.
+    # Two scans, for there are two close minima where position loop and integral have nearly the same rate.
     for count in (SCAN, FINE_SCAN) if within is None else (FINE_SCAN,):
         tried = np.geomspace(low, high, count)
-        best = int(np.argmin(left_by(tried)))
+        best = int(np.argmin(squares_by_rate(tried)))
         low, high = tried[max(best - 1, 0)], tried[min(best + 1, count - 1)]
-    found = minimize_scalar(
+    minimum = minimize_scalar(
         lambda x: at(np.exp(x))[0], bounds=(np.log(low), np.log(high)), method="bounded", options={"xatol": 1e-9}
     )
-    wi = float(np.exp(found.x))
+    wi = float(np.exp(minimum.x))
     cost, linear, steps = at(wi)
     return wi, linear, steps, cost
 
@@ -301,9 +299,9 @@ def fit(
     limited: np.ndarray | None = None,
     within: tuple[float, float] | None = None,
 ) -> LawFit:
-    """Fit the structure of ``start``, from its filters on; the integral rate ``within`` bounds [1/s].
+    """Fit the structure of ``start``, beginning with its filters; the integral rate stays ``within`` bounds [1/s].
 
-    ``limited`` (n,) says in which samples the limit acts, so that the integral part stands still.
+    ``limited`` (n,) is the mask of the samples in which the limit acts, so that the integral stops.
     """
     period = signals.period
     best: LawFit | None = None
@@ -335,23 +333,23 @@ def fit(
     return best
 
 
-def estimator_slope(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> list[np.ndarray]:
-    """How the command (n,) changes with the logarithm of the estimator's number; none where it has none to seek."""
-    estimator, period = found.timing.velocity_estimator, signals.period
-    if not (found.structure.velocity and sought(estimator)):
+def estimator_slope(signals: ControllerSignals, law: LawFit, limited: np.ndarray | None) -> list[np.ndarray]:
+    """Derivative (n,) of the command with respect to the logarithm of the estimator's number; [] without one."""
+    estimator, period = law.timing.velocity_estimator, signals.period
+    if not (law.structure.velocity and sought(estimator)):
         return []
     ends = []
     for step in (STEP, -STEP):
-        timing = replace(found.timing, velocity_estimator=at_step(estimator, step, period))
-        ends.append(regressors(signals, timing, limited) @ found.beta)
-    return [filtered(found.filters, (ends[0] - ends[1]) / (2.0 * STEP), period)]
+        timing = replace(law.timing, velocity_estimator=at_step(estimator, step, period))
+        ends.append(regressors(signals, timing, limited) @ law.beta)
+    return [filtered(law.filters, (ends[0] - ends[1]) / (2.0 * STEP), period)]
 
 
 def all_moved(
     filters: tuple[CommandFilter, ...], timing: Timing, steps: np.ndarray, period: float
 ) -> tuple[tuple[CommandFilter, ...], Timing]:
-    """Filters and estimator with their numbers changed by ``steps``, the estimator's the last, if it is sought."""
-    count = sum(len(one.numbers) for one in filters)
+    """Filters and estimator with their numbers changed by ``steps``; a last step is the estimator's."""
+    count = sum(len(stage.numbers) for stage in filters)
     if steps.size > count:
         estimator = at_step(timing.velocity_estimator, float(steps[count]), period)
         timing = replace(timing, velocity_estimator=estimator)
@@ -359,7 +357,7 @@ def all_moved(
 
 
 def whitening_filter(residual: np.ndarray, used: np.ndarray) -> tuple[float, ...]:
-    """Coefficients in z^-1 of the filter that makes ``residual`` (n,) white, of the order that pays; (1,) for white.
+    """Coefficients in z^-1 of the filter that whitens ``residual`` (n,), of the best order; (1,) for white noise.
 
     >>> white = np.random.default_rng(1).standard_normal(5000)
     >>> whitening_filter(white, np.ones(5000, bool))
@@ -371,14 +369,14 @@ def whitening_filter(residual: np.ndarray, used: np.ndarray) -> tuple[float, ...
     covariance = np.array([e[: len(e) - lag] @ e[lag:] for lag in range(longest + 1)]) / n
     if not covariance[0] > 0.0:
         return (1.0,)
-    found, best = (1.0,), n * np.log(covariance[0])
+    coefficients, best = (1.0,), n * np.log(covariance[0])
     for order in (order for order in ORDERS if order <= longest):
         phi = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
-        left = max(covariance[0] - phi @ covariance[1 : order + 1], 1e-12 * covariance[0])
-        criterion = n * np.log(left) + order * np.log(n)
+        variance = max(covariance[0] - phi @ covariance[1 : order + 1], 1e-12 * covariance[0])
+        criterion = n * np.log(variance) + order * np.log(n)
         if criterion < best:
-            found, best = (1.0, *(-phi).tolist()), criterion
-    return found
+            coefficients, best = (1.0, *(-phi).tolist()), criterion
+    return coefficients
 
 
 def resolution(x: np.ndarray) -> float:
@@ -394,7 +392,7 @@ def resolution(x: np.ndarray) -> float:
 
 
 def usable_behind(used: np.ndarray, whitening: tuple[float, ...]) -> np.ndarray:
-    """Samples (n,) for which the filter looks back on nothing that does not count."""
+    """Mask (n,) of the samples for which the ``whitening`` filter uses only samples that count."""
     return np.convolve(~used, np.ones(len(whitening)))[: used.size] < 0.5
 
 
@@ -403,42 +401,42 @@ def robust_deviation(x: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(x - np.median(x))))
 
 
-def covariance(signals: ControllerSignals, found: LawFit, limited: np.ndarray | None) -> np.ndarray:
+def covariance(signals: ControllerSignals, law: LawFit, limited: np.ndarray | None) -> np.ndarray:
     """Covariance of the linear coefficients, the integral rate and the numbers of filters and estimator.
 
-    Of least squares behind the whitening filter, so for noise that is correlated as the residual is. Irregular
-    samples have none: the residual's own correlation takes its place, and a command in steps may be cut off instead of
-    rounded, half a step towards zero.
+    By least squares behind the whitening filter, so it holds for correlated noise. Irregular samples have no such
+    filter: there it is a HAC covariance, enlarged because a quantised command may be truncated instead of rounded,
+    half a step towards zero.
     """
-    raw, period = regressors(signals, found.timing, limited), signals.period
-    columns = raw @ found.structure.combination(found.wi)
-    if found.structure.form:
-        step = DIFFERENCE * found.wi
-        ends = [found.structure.combination(found.wi + sign * step) for sign in (1.0, -1.0)]
-        columns = np.column_stack([columns, raw @ ((ends[0] - ends[1]) / (2.0 * step)) @ found.linear])
-    columns = filtered(found.filters, columns, period)
-    columns = np.column_stack([columns, derivatives(found.filters, raw @ found.beta, period)])
-    columns = np.column_stack([columns, *estimator_slope(signals, found, limited)])
+    raw, period = regressors(signals, law.timing, limited), signals.period
+    columns = raw @ law.structure.combination(law.wi)
+    if law.structure.form:
+        step = DIFFERENCE * law.wi
+        ends = [law.structure.combination(law.wi + sign * step) for sign in (1.0, -1.0)]
+        columns = np.column_stack([columns, raw @ ((ends[0] - ends[1]) / (2.0 * step)) @ law.linear])
+    columns = filtered(law.filters, columns, period)
+    columns = np.column_stack([columns, derivatives(law.filters, raw @ law.beta, period)])
+    columns = np.column_stack([columns, *estimator_slope(signals, law, limited)])
     columns = signals.counted(columns)
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
     if signals.times is not None:
-        left = signals.counted(signals.command - filtered(found.filters, raw @ found.beta, period))
-        lag = int(4 * (len(left) / 100) ** (2 / 9))  # Newey and West
+        residual = signals.counted(signals.command - filtered(law.filters, raw @ law.beta, period))
+        lag = int(4 * (len(residual) / 100) ** (2 / 9))  # Newey and West
         cut = signals.counted(0.5 * resolution(signals.command) * np.sign(signals.command))
         shift = np.linalg.lstsq(columns / scale, cut)[0]
-        return (hac_covariance(columns / scale, left, lag) + np.outer(shift, shift)) / np.outer(scale, scale)
+        return (hac_covariance(columns / scale, residual, lag) + np.outer(shift, shift)) / np.outer(scale, scale)
     triangle = np.linalg.qr(columns / scale, mode="r")
     inverse = np.linalg.pinv(triangle) / scale[:, None]
-    return found.cost / max(found.samples - found.size, 1) * inverse @ inverse.T
+    return law.cost / max(law.samples - law.size, 1) * inverse @ inverse.T
 
 
 def with_deviations(
-    found: LawFit, spread: np.ndarray, numbers: Callable[[LawFit], dict[str, float]]
+    law: LawFit, spread: np.ndarray, numbers: Callable[[LawFit], dict[str, float]]
 ) -> dict[str, tuple[float, float]]:
     """Each of the ``numbers`` of a fit with its deviation, from the ``spread`` of :func:`covariance`."""
-    values = numbers(found)
-    centre = _packed(found)
+    values = numbers(law)
+    centre = _packed(law)
     slopes = []
     for i, at in enumerate(centre):
         step = DIFFERENCE * max(abs(at), 1e-9 * float(np.max(np.abs(centre))))
@@ -446,7 +444,7 @@ def with_deviations(
         for sign in (1.0, -1.0):
             moved = centre.copy()
             moved[i] += sign * step
-            ends.append(numbers(_unpacked(found, moved)))
+            ends.append(numbers(_unpacked(law, moved)))
         slopes.append([(ends[0][name] - ends[1][name]) / (2.0 * step) for name in values])
     table = np.array(slopes).T
     variance = np.einsum("ij,jk,ik->i", table, spread, table)
@@ -454,24 +452,24 @@ def with_deviations(
     return {name: (value, std) for (name, value), std in zip(values.items(), deviations, strict=True)}
 
 
-def _packed(found: LawFit) -> np.ndarray:
-    rate = [found.wi] if found.structure.form else []
-    estimator = found.timing.velocity_estimator
-    own = [float(np.log(estimator.number))] if found.seeks_estimator and not isinstance(estimator, str) else []
-    return np.concatenate([found.linear, rate, *(one.numbers for one in found.filters), own])
+def _packed(law: LawFit) -> np.ndarray:
+    rate = [law.wi] if law.structure.form else []
+    estimator = law.timing.velocity_estimator
+    own = [float(np.log(estimator.number))] if law.seeks_estimator and not isinstance(estimator, str) else []
+    return np.concatenate([law.linear, rate, *(stage.numbers for stage in law.filters), own])
 
 
-def _unpacked(found: LawFit, x: np.ndarray) -> LawFit:
-    linear, rest = x[: found.linear.size], x[found.linear.size :]
+def _unpacked(law: LawFit, x: np.ndarray) -> LawFit:
+    linear, rest = x[: law.linear.size], x[law.linear.size :]
     change: dict[str, Any] = {"linear": linear}
-    if found.structure.form:
+    if law.structure.form:
         change["wi"], rest = float(rest[0]), rest[1:]
     filters = []
-    for one in found.filters:
-        filters.append(CommandFilter(one.kind, tuple(rest[: len(one.numbers)].tolist())))
-        rest = rest[len(one.numbers) :]
-    estimator = found.timing.velocity_estimator
-    if found.seeks_estimator and not isinstance(estimator, str):
+    for stage in law.filters:
+        filters.append(CommandFilter(stage.kind, tuple(rest[: len(stage.numbers)].tolist())))
+        rest = rest[len(stage.numbers) :]
+    estimator = law.timing.velocity_estimator
+    if law.seeks_estimator and not isinstance(estimator, str):
         own = {"kind": estimator.kind, NUMBERS[estimator.kind]: float(np.exp(rest[0]))}
-        change["timing"] = replace(found.timing, velocity_estimator=Estimator.model_validate(own))
-    return replace(found, **change, filters=tuple(filters))
+        change["timing"] = replace(law.timing, velocity_estimator=Estimator.model_validate(own))
+    return replace(law, **change, filters=tuple(filters))

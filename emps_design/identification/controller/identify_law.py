@@ -1,13 +1,12 @@
-"""Tell the controller that made a record from its reference, position and command alone.
+"""Identify the controller that made a record from its reference, position and command alone.
 
 A search over band spectra finds timing, form and filters; least squares on the samples refines them, first as if noise
-were white, then behind a filter that makes the residual so; terms that are zero are left out; what could be otherwise
-is fitted too, and named where it explains the record as well. See docs/theory/controller_law.md.
+were white, then behind a whitening filter. Terms that are zero are dropped; alternatives are fitted too, and reported
+where they explain the record as well. See docs/theory/controller_law.md.
 
-Steps that something adds to a controller's output: pulses of an instrument, a switch. They are taken off.
-
-Whatever stands still between its steps has no first difference but there: a law that is fitted to differences, without
-those that stick out, finds where it steps. Between these the command may carry a constant of its own.
+Steps that are added to the controller's output (pulses of an instrument, a switch) are removed first. Such a signal
+has a first difference only at its steps: a law fitted to differences, without outliers, finds where they are. Between
+the steps the command may carry a constant each.
 """
 
 from __future__ import annotations
@@ -59,14 +58,14 @@ ROUNDS = 12
 OUTLYING = 8.0  # deviations of the typical difference
 RAREST, MOST = 2, 0.02  # steps; share of the samples: more is no matter of steps
 
-START_UP = 0.02  # s, before which what the controller remembers is not known
+START_UP = 0.02  # s, in which the controller's initial state still matters
 FEWEST = 200  # samples
-AROUND = 3  # samples about one with the motor switched off that do not count
+AROUND = 3  # samples on either side of one with the motor switched off that do not count
 FEWEST_AT_START = 4  # samples left out, whatever the period
 FEEDBACK = ("kp", "kv", "k_v1", "t_v", "position.kp", "velocity.kp", "velocity.ti")
 LOOSE = 0.2  # relative deviation of a gain beyond which it is not determined
 ON_THE_CLOCK = 0.01  # of a period that a sample may be off its clock
-INNER = 2.0  # times as much left by the position's law: the velocity that is recorded beside it comes from elsewhere
+INNER = 2.0  # times the residual by the velocity reference: above it the controller follows that reference
 SURELY_APART = 3.0  # deviations
 ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
@@ -74,7 +73,7 @@ IRREGULAR = "irregular samples tell no law with a memory, only a proportional on
 
 
 def without_steps(signals: ControllerSignals) -> tuple[ControllerSignals, np.ndarray] | None:
-    """The signals with such steps taken off the command, and these (n,); None where there are none."""
+    """The signals without steps in the command, and the removed steps (n,); None where there are none."""
     tables = [regressors(signals, Timing(velocity_estimator=name)) for name in ESTIMATORS]
     outlying = min((_outlying(signals, table) for table in tables), key=lambda pair: pair[0])[1]
     if not RAREST <= outlying.sum() <= MOST * len(signals):
@@ -83,29 +82,29 @@ def without_steps(signals: ControllerSignals) -> tuple[ControllerSignals, np.nda
     levels = np.cumsum(outlying) + (0 if signals.levels is None else signals.levels)
     stretches = replace(signals, used=used, levels=levels, records=False)
     fits = [_within(stretches, table) for table in tables]
-    left = min(fits, key=lambda left: float(np.sum(stretches.counted(left) ** 2)))
+    residual = min(fits, key=lambda residual: float(np.sum(stretches.counted(residual) ** 2)))
     known = levels[used]
-    means = np.bincount(known, left[used]) / np.maximum(np.bincount(known), 1)
-    # A stretch without a sample that counts goes on as the one before it.
+    means = np.bincount(known, residual[used]) / np.maximum(np.bincount(known), 1)
+    # A stretch without samples that count continues the one before it.
     steps = means[np.unique(known)[np.searchsorted(np.unique(known), levels, "right") - 1]]
     return replace(stretches, command=signals.command - steps), steps
 
 
 def _outlying(signals: ControllerSignals, table: np.ndarray) -> tuple[float, np.ndarray]:
-    """Typical difference that a law without memory leaves, and the samples (n,) whose difference sticks out."""
+    """Deviation of the difference that a law without memory leaves, and mask (n,) of the samples that are outliers."""
     columns, target = np.diff(table, axis=0), np.diff(signals.command)
     scale = np.linalg.norm(columns, axis=0)
     columns = columns[:, scale > 0.0] / scale[scale > 0.0]
     whole = signals.used[1:] & signals.used[:-1]
-    kept, left = whole, target
+    kept, residual = whole, target
     for _ in range(ROUNDS):
-        left = target - columns @ np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
-        kept = whole & (np.abs(left) < OUTLYING * robust_deviation(left[whole]))
-    return robust_deviation(left[whole]), np.concatenate([[False], whole & ~kept])
+        residual = target - columns @ np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
+        kept = whole & (np.abs(residual) < OUTLYING * robust_deviation(residual[whole]))
+    return robust_deviation(residual[whole]), np.concatenate([[False], whole & ~kept])
 
 
 def _within(signals: ControllerSignals, table: np.ndarray) -> np.ndarray:
-    """What is left (n,) of the command by a law without filters, with a constant in each stretch."""
+    """Residual (n,) of the command by a law without filters, with a constant in each stretch."""
     columns, target = signals.counted(table), signals.counted(signals.command)
     scale = np.linalg.norm(columns, axis=0)
     scale[scale < 1e-9 * scale.max()] = np.inf
@@ -113,10 +112,10 @@ def _within(signals: ControllerSignals, table: np.ndarray) -> np.ndarray:
 
 
 def identify_law(records: Record | Sequence[Record], command_unit: str = "V") -> LawEstimate:
-    """Tell the controller that made one or several ``records``, whose command is in ``command_unit``; reads no axis.
+    """Identify the controller that made ``records``, one or several, whose command is in ``command_unit``.
 
-    Several tell more than each alone: they are taken as one, in which the integral starts anew with each. Raises
-    :class:`RecordError` for records of other columns or samples than the first.
+    Several records are fitted together, with a new initial integral in each, which determines more than each alone.
+    Raises :class:`RecordError` for records with other columns or another period than the first.
 
     >>> import numpy as np
     >>> t = np.arange(4000) * 1e-3
@@ -124,8 +123,9 @@ def identify_law(records: Record | Sequence[Record], command_unit: str = "V") ->
     >>> q = np.round((r - 1e-4 * np.sin(20.0 * t)) / 1e-7) * 1e-7
     >>> u = 40.0 * (50.0 * (r - q) - np.diff(q, prepend=q[0]) / 1e-3)
     >>> u = u + np.random.default_rng(0).normal(0.0, 1e-3, u.size)
-    >>> found = identify_law(Record.from_arrays(1e-3, r, q, u))
-    >>> found.verdict, found.controller["kind"], round(found.controller["kp"], 1), round(found.controller["kv"], 1)
+    >>> estimate = identify_law(Record.from_arrays(1e-3, r, q, u))
+    >>> law = estimate.controller
+    >>> estimate.verdict, law["kind"], round(law["kp"], 1), round(law["kv"], 1)
     ('told', 'position_pd', 50.0, 40.0)
     """
     from threadpoolctl import threadpool_limits
@@ -135,14 +135,14 @@ def identify_law(records: Record | Sequence[Record], command_unit: str = "V") ->
 
 
 def _identified(several: list[Record], command_unit: str) -> LawEstimate:
-    """The controller that made ``several`` records of one kind."""
-    name = " + ".join(one.name for one in several)
+    """The controller that made ``several`` records with the same columns and period."""
+    name = " + ".join(record.name for record in several)
     there = measured_there(several[0])
-    read = [signals_of(own_samples(one) if there is None else one, there) for one in several]
-    for one, said in zip(several, read, strict=True):
-        if isinstance(said, str):
-            return _not_told(name, command_unit, said if len(several) == 1 else f"{one.name}: {said}")
-    known = [one for one in read if not isinstance(one, str)]
+    read = [signals_of(own_samples(record) if there is None else record, there) for record in several]
+    for record, reading in zip(several, read, strict=True):
+        if isinstance(reading, str):
+            return _not_told(name, command_unit, reading if len(several) == 1 else f"{record.name}: {reading}")
+    known = [reading for reading in read if not isinstance(reading, str)]
     signals = joined(known)
     if several[0].measured is not None and there is None:
         if signals.velocity_reference:
@@ -150,28 +150,28 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
         polled = best_law(replace(signals, times=several[0].measured["t"]), replace(PROPORTIONAL, skew=True))
         parts = halves(polled.signals)
         return _report(several, command_unit, polled, None, parts, f"{IRREGULAR}: that ")
-    found, steps = best_law(signals), None
-    if not signals.velocity_reference and all(one.velocity_reference is not None for one in several):
+    best, steps = best_law(signals), None
+    if not signals.velocity_reference and all(record.velocity_reference is not None for record in several):
         inner = best_law(joined([_of_its_velocity(*pair) for pair in zip(known, several, strict=True)]))
-        if found.rms > INNER * inner.rms:
-            found = inner
-    if found.share > HOLDS and (stepless := without_steps(signals)) is not None:
+        if best.rms > INNER * inner.rms:
+            best = inner
+    if best.share > HOLDS and (stepless := without_steps(signals)) is not None:
         again = best_law(stepless[0])
         if again.share <= HOLDS:
-            found, steps = again, stepless[1]
-    ends = np.cumsum([0, *(len(one) + -len(one) % WHOLE_LOOPS for one in known)])
+            best, steps = again, stepless[1]
+    ends = np.cumsum([0, *(len(recorded) + -len(recorded) % WHOLE_LOOPS for recorded in known)])
     samples = np.arange(len(signals))
     parts = [(samples >= start) & (samples < end) for start, end in pairwise(ends)]
-    told = _report(several, command_unit, found, steps, parts if len(several) > 1 else halves(found.signals))
-    if len(several) == 1 or told.controller is not None:
-        return told
-    return unlike(told, [_identified([one], command_unit) for one in several])
+    estimate = _report(several, command_unit, best, steps, parts if len(several) > 1 else halves(best.signals))
+    if len(several) == 1 or estimate.controller is not None:
+        return estimate
+    return unlike(estimate, [_identified([record], command_unit) for record in several])
 
 
 def signals_of(record: Record, there: np.ndarray | None = None) -> ControllerSignals | str:
-    """What the controller of a record saw and gave, or why it cannot be told from that.
+    """The controller's inputs and output in a record, or the reason why they cannot identify it.
 
-    ``there`` (n,) says which samples were recorded: behind one that was not the integral may have any value.
+    ``there`` (n,) is the mask of the recorded samples: behind a missing one the integral may have any value.
     """
     velocity = None if record.q_ref_recorded else record.velocity_reference
     if velocity is None and not record.q_ref_recorded:
@@ -198,13 +198,13 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> ControllerSig
 
 
 def _of_its_velocity(signals: ControllerSignals, record: Record) -> ControllerSignals:
-    """What a controller saw that follows the velocity reference of ``record`` and not its position reference."""
+    """The signals of a controller that follows the velocity reference of ``record``, not its position reference."""
     assert record.velocity_reference is not None
     return replace(signals, reference=record.velocity_reference, velocity_reference=True)
 
 
 def measured_there(record: Record) -> np.ndarray | None:
-    """Which samples (n,) of a resampled record were recorded, where that is a clock of which some are missing."""
+    """Mask (n,) of the recorded samples of a resampled record, where these lie on a regular clock; None otherwise."""
     if record.measured is None:
         return None
     place = (record.measured["t"] - record.measured["t"][0]) / record.period
@@ -215,7 +215,7 @@ def measured_there(record: Record) -> np.ndarray | None:
 
 
 def own_samples(record: Record) -> Record:
-    """The record at its own times where it was resampled, on a clock that then means nothing."""
+    """The record with its own samples in place of resampled ones; its regular times then have no meaning."""
     if record.measured is None:
         return record
     names = ("q_ref", "q", "u", "f_ext", "velocity_reference", "enable", "excitation")
@@ -225,79 +225,80 @@ def own_samples(record: Record) -> Record:
 
 
 def _alike(records: Sequence[Record]) -> list[Record]:
-    """The records, where one controller can have made them all."""
+    """The records as a list; raises :class:`RecordError` where they cannot come from one controller."""
     first, *others = records
-    for one in others:
+    for other in others:
+        pair = other, first
         for what, own, expected in (
-            ("period", f"{one.period:.6g} s", f"{first.period:.6g} s"),
-            ("reference", *("a velocity" if r.velocity_reference is not None else "a position" for r in (one, first))),
-            ("external force", *("none" if r.f_ext is None else "one" for r in (one, first))),
+            ("period", f"{other.period:.6g} s", f"{first.period:.6g} s"),
+            ("reference", *("a velocity" if r.velocity_reference is not None else "a position" for r in pair)),
+            ("external force", *("none" if r.f_ext is None else "one" for r in pair)),
         ):
             if own != expected:
-                raise RecordError(f"{one.name}: {what}: found {own}, expected {expected} as in {first.name}")
-    for one in records:
-        if others and one.measured is not None:
-            raise RecordError(f"{one.name}: found irregular samples, expected regular ones beside another record")
+                raise RecordError(f"{other.name}: {what}: found {own}, expected {expected} as in {first.name}")
+    for record in records:
+        if others and record.measured is not None:
+            raise RecordError(f"{record.name}: found irregular samples, expected regular ones beside another record")
     return list(records)
 
 
 def _report(
     several: Sequence[Record],
     unit: str,
-    found: BestLaw,
+    best: BestLaw,
     steps: np.ndarray | None,
     parts: Sequence[np.ndarray],
     why: str = "",
 ) -> LawEstimate:
-    name = " + ".join(one.name for one in several)
-    velocity_reference = found.signals.velocity_reference
+    name = " + ".join(record.name for record in several)
+    velocity_reference = best.signals.velocity_reference
     compared: dict[str, dict[str, Any]] = {}  # a structure that was fitted from two beginnings is one
-    for one in [found.fit, *found.rivals]:
-        row = described(one, found)
+    for law in [best.fit, *best.rivals]:
+        row = described(law, best)
         compared.setdefault(row["terms"], row)
     tried = tuple(compared.values())
-    said: dict[str, Any] = {"residual_rms": found.rms, "residual_share": found.share, "tried": tried}
-    if found.share > HOLDS or not found.fit.stabilising:
+    fields: dict[str, Any] = {"residual_rms": best.rms, "residual_share": best.share, "tried": tried}
+    if best.share > HOLDS or not best.fit.stabilising:
         reason = (
-            f"{why or 'the best law tried '}leaves {100 * found.share:.3g} % of the command's deviation, expected at "
+            f"{why or 'the best law tried '}leaves {100 * best.share:.3g} % of the command's deviation, expected at "
             f"most {100 * HOLDS:g} %: an open loop, another structure, or columns that are not the controller's own"
         )
-        return _not_told(name, unit, reason, **said)
-    kind = kind_of(found.fit, velocity_reference)
+        return _not_told(name, unit, reason, **fields)
+    kind = kind_of(best.fit, velocity_reference)
     if not kind:
         reason = f"the command follows a law that no kind of controller here has: {tried[0]['terms']}"
-        return _not_told(name, unit, reason, **said)
-    if step := too_coarse(found):
+        return _not_told(name, unit, reason, **fields)
+    if step := too_coarse(best):
         reason = f"the reference is recorded in steps of {step:.2g}, of which derivatives hide what is fed forward; "
-        return _not_told(name, unit, f"{reason}record it with more digits", **said)
-    spread = covariance(found.signals, found.fit, found.held)
-    numbers = with_deviations(found.fit, spread, lambda one: numbers_of(one, velocity_reference))
-    numbers |= _of_two_alike(found, spread, numbers)
+        return _not_told(name, unit, f"{reason}record it with more digits", **fields)
+    spread = covariance(best.signals, best.fit, best.held)
+    numbers = with_deviations(best.fit, spread, lambda law: numbers_of(law, velocity_reference))
+    numbers |= _of_two_alike(best, spread, numbers)
     loose = [name for name, (value, std) in numbers.items() if name in FEEDBACK and not std < LOOSE * abs(value)]
     if loose:
         reason = f"the record does not determine {', '.join(loose)}; record more motion"
-        return _not_told(name, unit, reason, **said)
+        return _not_told(name, unit, reason, **fields)
     values = {name: _rounded(value, std) for name, (value, std) in numbers.items()}
-    table = table_of(found.fit, velocity_reference, values, found.holds is not False)
-    times = times_allowed(found)
-    said["allowed_rms"] = found.rms / times
+    table = table_of(best.fit, velocity_reference, values, best.holds is not False)
+    times = times_allowed(best)
+    fields["allowed_rms"] = best.rms / times
     if times > TIMES:
-        return _not_told(name, unit, too_much_left(found, times, unit), closest=table, **said)
-    apart = disagreement(found, parts, lambda one: numbers_of(one, velocity_reference))
+        return _not_told(name, unit, too_much_left(best, times, unit), closest=table, **fields)
+    apart = disagreement(best, parts, lambda law: numbers_of(law, velocity_reference))
     if apart is not None:
-        return _not_told(name, unit, f"{in_parts(apart, several)}; no one law made all of it", closest=table, **said)
-    close = [one for one in found.rivals if one.criterion < found.fit.criterion + AS_GOOD]
-    close = [one for one in close if kind_of(one, velocity_reference)]
+        return _not_told(name, unit, f"{in_parts(apart, several)}; no one law made all of it", closest=table, **fields)
+    close = [law for law in best.rivals if law.criterion < best.fit.criterion + AS_GOOD]
+    close = [law for law in close if kind_of(law, velocity_reference)]
     own, *others = (
-        table_of(one, velocity_reference, numbers_of(one, velocity_reference), found.holds is not False)
-        for one in (found.fit, *close)
+        table_of(law, velocity_reference, numbers_of(law, velocity_reference), best.holds is not False)
+        for law in (best.fit, *close)
     )
-    # Two sums of terms may be one law: an integral of the velocity error is a proportional position loop.
+    # Two structures may be the same law: an integral of the velocity error is a proportional position loop.
     differ = [not _same_numbers(other, own) for other in others]
-    close = [one for one, other in zip(close, differ, strict=True) if other]
+    close = [rival for rival, other in zip(close, differ, strict=True) if other]
     equivalents = tuple(table for table, other in zip(others, differ, strict=True) if other)
-    structures = [one for one in close if not _same_structure(one, found.fit)]
-    for other in structures:  # whichever made the record, its numbers are within the deviations
+    structures = [rival for rival in close if not _same_structure(rival, best.fit)]
+    for other in structures:  # the deviations cover the numbers of every ambiguous structure
         for place, value in numbers_of(other, velocity_reference).items():
             if place in numbers:
                 own_value, std = numbers[place]
@@ -311,29 +312,33 @@ def _report(
         verdict=AMBIGUOUS if structures else TOLD,
         reason=reason,
         controller=table,
-        std=deviations_of(found.fit, {name: std for name, (_, std) in numbers.items()}),
+        std=deviations_of(best.fit, {name: std for name, (_, std) in numbers.items()}),
         command_unit=unit,
-        delay=found.fit.timing.delay,
-        limit=found.limit,
-        limited_samples=0 if found.limited is None else int(found.limited.sum()),
+        delay=best.fit.timing.delay,
+        limit=best.limit,
+        limited_samples=0 if best.limited is None else int(best.limited.sum()),
         equivalents=equivalents,
-        notes=(*([how_far_apart(structures, found)] if structures else []), *notes_of(several, unit, found, steps)),
-        **said,
+        notes=(*([how_far_apart(structures, best)] if structures else []), *notes_of(several, unit, best, steps)),
+        **fields,
     )
 
 
 def _of_two_alike(
-    found: BestLaw, spread: Any, numbers: dict[str, tuple[float, float]]
+    best: BestLaw, spread: Any, numbers: dict[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
-    """``position.kp`` and ``velocity.ti`` with the deviations that a double root leaves them, where they may be one.
+    """``position.kp`` and ``velocity.ti`` with enlarged deviations where their rates may be equal; {} otherwise.
 
-    With all of the reference's velocity they are the roots of a polynomial whose coefficients the record tells: roots
-    that may be equal are off by the square root of what those are.
+    With the whole reference velocity both rates are the roots of a polynomial whose coefficients the record determines.
+    The error of a double root is the square root of the error of the coefficients.
     """
-    law = found.fit
+    law = best.fit
     if law.structure.form != "pi" or law.structure.share != 1 or law.timing.every != 1 or not law.structure.position:
         return {}
-    apart, std = with_deviations(law, spread, lambda one: {"": 0.25 * (one.position_rate - one.wi) ** 2})[""]
+
+    def discriminant(perturbed: LawFit) -> dict[str, float]:
+        return {"": 0.25 * (perturbed.position_rate - perturbed.wi) ** 2}
+
+    apart, std = with_deviations(law, spread, discriminant)[""]
     if apart > SURELY_APART * std:
         return {}
     off = 0.5 * (apart**0.5 + (apart + 2.0 * std) ** 0.5)
@@ -342,27 +347,27 @@ def _of_two_alike(
 
 
 def _rounded(value: float, std: float) -> float:
-    """The value to a thousandth of its deviation."""
+    """``value`` rounded to the third digit of its deviation ``std``."""
     return float(f"{value:.{max(0, min(15, 2 - int(np.floor(np.log10(std)))))}f}") if std > 0.0 else value
 
 
-def _same_structure(one: LawFit, other: LawFit) -> bool:
-    return one.structure == other.structure and one.timing == other.timing and len(one.filters) == len(other.filters)
+def _same_structure(law: LawFit, other: LawFit) -> bool:
+    return law.structure == other.structure and law.timing == other.timing and len(law.filters) == len(other.filters)
 
 
-def _same_numbers(one: Any, other: Any) -> bool:
-    """Whether two tables of a controller say the same, but for rounding."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_same_numbers(one[key], other[key]) for key in one)
-    if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_same_numbers, one, other))
-    if isinstance(one, float) and isinstance(other, float):
-        return abs(one - other) <= ROUNDING * abs(other)
-    return bool(one == other)
+def _same_numbers(first: Any, other: Any) -> bool:
+    """Whether two tables of a controller are equal but for rounding."""
+    if isinstance(first, dict) and isinstance(other, dict):
+        return first.keys() == other.keys() and all(_same_numbers(first[key], other[key]) for key in first)
+    if isinstance(first, list) and isinstance(other, list):
+        return len(first) == len(other) and all(map(_same_numbers, first, other))
+    if isinstance(first, float) and isinstance(other, float):
+        return abs(first - other) <= ROUNDING * abs(other)
+    return bool(first == other)
 
 
-def _not_told(name: str, unit: str, reason: str, **said: Any) -> LawEstimate:
-    given = {"residual_rms": None, "residual_share": None} | said
+def _not_told(name: str, unit: str, reason: str, **fields: Any) -> LawEstimate:
+    fields = {"residual_rms": None, "residual_share": None} | fields
     return LawEstimate(
-        record=name, verdict=NOT_TOLD, reason=reason, controller=None, std={}, command_unit=unit, **given
+        record=name, verdict=NOT_TOLD, reason=reason, controller=None, std={}, command_unit=unit, **fields
     )

@@ -1,7 +1,7 @@
-"""The columns that a servo's command is linear in, from what its controller saw: reference and position.
+"""The regressors of a servo's command, from the controller's inputs: reference and position.
 
-Without its filters and below its limit, the command of a cascade at sample k is a sum of these, each times a product of
-gains (``data``: the difference equations of :mod:`emps_design.laws.library.cascade`):
+Without filters and below the limit, the command of a cascade at sample k is a sum of these columns, each times a
+product of gains (see the difference equations of :mod:`emps_design.laws.library.cascade`):
 
     error         r - q, held between the position loop's samples         error_sum         its sum times the period
     slip          vr - v                                                  slip_sum          its sum times the period
@@ -9,18 +9,18 @@ gains (``data``: the difference equations of :mod:`emps_design.laws.library.casc
     acceleration  ar                                                      sign              sign(vr)
     force_sum     sum of a measured external force times the period       offset            1
 
-The sums belong to the integral part. It stands still while the limit acts, and so do they.
+The sums belong to the integral part, which stops while the limit acts; so do they.
 
-The velocity estimators that are tried, and the number of one that is sought: its logarithm, within bounds.
+A velocity estimator may have a number of its own (a corner, a bandwidth, a count of points); the fit varies the
+logarithm of a continuous one within bounds.
 
-Which terms a controller has, and how its command is linear in what is left once its integral time is known.
-
-With ``wi = 1/ti`` and the gain K of the velocity loop, the command before the filters is, see :mod:`.regressors`,
+:class:`LawStructure` says which terms a controller has. Once the integral time is known, its command is linear in the
+other numbers. With ``wi = 1/ti`` and the gain K of the velocity loop, the command before the filters is
 
     pi      K kp (error + wi error_sum) + K share (slip + wi slip_sum) - K (1 - share) (velocity + wi velocity_sum)
     ip      K kp wi error_sum + K share (wi slip_sum - velocity) - K (1 - share) (velocity + wi velocity_sum)
 
-and the feed-forward; so for each ``wi`` it is linear in K kp, K share, K (1 - share), and the rest.
+plus the feed-forward; so for each ``wi`` it is linear in K kp, K share, K (1 - share) and the feed-forward gains.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ from emps_design.laws.estimators import MOST_POINTS, NUMBERS, Estimator, polynom
 ESTIMATORS = ("backward", "two_tap")
 POINTS = (4, 5, 6, 8, 11, 16)  # of slopes that are tried first; 2 and 3 are the named ones
 SHARES = np.geomspace(0.006, 0.25, 5)  # of the sampling frequency: corners that are tried first
-LOOP = 2.0  # times the corner of a filter: a tracking loop that is late by as much
-LEAST_LAG = 0.3  # samples: filters that are faster are none
+LOOP = 2.0  # times the corner of a filter: bandwidth of the tracking loop with the same lag
+LEAST_LAG = 0.3  # samples: faster filters have no effect
 WITHIN = {"filtered": (1e-4, 0.45), "tracking": (6e-4, 3.0)}  # number times the period
-STEP = 1e-4  # of a sought number, for its derivative
-UNUSUAL = 2.0 * float(np.log(len(POINTS) + 2 * len(SHARES)))  # of the criterion: half of all drives take a named one
+STEP = 1e-4  # of a fitted number, for its derivative
+UNUSUAL = 2.0 * float(np.log(len(POINTS) + 2 * len(SHARES)))  # of the criterion: half of all drives have a named one
 
 AnyEstimator = str | Estimator
 
 EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
 DELAYS = (0, 1, 2)  # samples
-AHEAD = 4  # samples before and after one that tell the velocity of a profile there
-STRANGE_START = 20.0  # of the criterion, for a position loop that does not start with the record, as axis files have it
+AHEAD = 4  # samples on either side that determine the velocity of a profile
+STRANGE_START = 20.0  # of the criterion, for a position loop that does not start with the record, as in axis files
 
-WHOLE_LOOPS = int(np.lcm.reduce(EVERY))  # samples after which a position loop of any rate is where it began
+WHOLE_LOOPS = int(np.lcm.reduce(EVERY))  # samples: a common multiple of the periods of all position loops
 
 COLUMNS = (
     "error",
@@ -72,47 +72,47 @@ PLACE = {name: i for i, name in enumerate(COLUMNS)}
 
 @cache
 def with_numbers(period: float) -> tuple[Estimator, ...]:
-    """Estimators with a number to start from, at a sampling ``period`` [s].
+    """Estimators with a number, as starting points, at a sampling ``period`` [s].
 
-    >>> [one.number for one in with_numbers(1e-3)][:3]
+    >>> [estimator.number for estimator in with_numbers(1e-3)][:3]
     [4.0, 5.0, 6.0]
     """
     corners = [float(share) / period for share in SHARES]
-    found = [Estimator(kind="slope", points=n) for n in POINTS]
-    found += [Estimator(kind="filtered", frequency=corner) for corner in corners]
-    found += [Estimator(kind="tracking", bandwidth=LOOP * 2.0 * float(np.pi) * corner) for corner in corners]
-    return tuple(found)
+    estimators = [Estimator(kind="slope", points=n) for n in POINTS]
+    estimators += [Estimator(kind="filtered", frequency=corner) for corner in corners]
+    estimators += [Estimator(kind="tracking", bandwidth=LOOP * 2.0 * float(np.pi) * corner) for corner in corners]
+    return tuple(estimators)
 
 
 def lag(estimator: AnyEstimator, period: float) -> float:
-    """Samples that a steady change comes late by, beside those of the backward difference.
+    """Delay in samples of a constant velocity change, beyond that of the backward difference.
 
     >>> lag("two_tap", 1e-3), round(lag(Estimator(kind="slope", points=4), 1e-3), 9)
     (0.5, 1.0)
     """
-    late = [float(np.arange(len(one)) @ np.array(one)) / sum(one) for one in polynomials(estimator, period)]
+    late = [float(np.arange(len(taps)) @ np.array(taps)) / sum(taps) for taps in polynomials(estimator, period)]
     return late[0] - late[1]
 
 
 def rivals_of(own: AnyEstimator, period: float) -> list[AnyEstimator]:
-    """What could pass for the estimator ``own``: those with a name, and of each other kind what is as late."""
+    """Estimators that may be mistaken for ``own``: the named ones, and of each other kind those with the same lag."""
     late = max(lag(own, period), LEAST_LAG)
     points = round(2.0 * late) + 2
-    found: list[AnyEstimator] = [*ESTIMATORS]
-    found += [Estimator(kind="slope", points=n) for n in range(points - 1, points + 2) if 4 <= n <= MOST_POINTS]
-    found.append(Estimator(kind="filtered", frequency=1.0 / (2.0 * float(np.pi) * late * period)))
-    found.append(Estimator(kind="tracking", bandwidth=LOOP / (late * period)))
-    kind = own.kind if isinstance(own, Estimator) and sought(own) else ""  # whose number is found by the fit
-    return [one for one in found if one != own and not (isinstance(one, Estimator) and one.kind == kind)]
+    candidates: list[AnyEstimator] = [*ESTIMATORS]
+    candidates += [Estimator(kind="slope", points=n) for n in range(points - 1, points + 2) if 4 <= n <= MOST_POINTS]
+    candidates.append(Estimator(kind="filtered", frequency=1.0 / (2.0 * float(np.pi) * late * period)))
+    candidates.append(Estimator(kind="tracking", bandwidth=LOOP / (late * period)))
+    kind = own.kind if isinstance(own, Estimator) and sought(own) else ""  # the fit itself finds its number
+    return [rival for rival in candidates if rival != own and not (isinstance(rival, Estimator) and rival.kind == kind)]
 
 
 def sought(estimator: AnyEstimator) -> bool:
-    """Whether an estimator has a number that is sought: a corner or a bandwidth, no count of points."""
+    """Whether an estimator has a number to be fitted: a corner or a bandwidth, not a count of points."""
     return isinstance(estimator, Estimator) and estimator.kind in WITHIN
 
 
 def at_step(estimator: AnyEstimator, step: float, period: float) -> AnyEstimator:
-    """``estimator`` with the logarithm of its number changed by ``step``, kept within what it can be."""
+    """``estimator`` with the logarithm of its number changed by ``step``, kept within its bounds."""
     assert isinstance(estimator, Estimator)
     low, high = (bound / period for bound in WITHIN[estimator.kind])
     number = float(np.clip(estimator.number * np.exp(step), low, high))
@@ -120,7 +120,7 @@ def at_step(estimator: AnyEstimator, step: float, period: float) -> AnyEstimator
 
 
 def beside(estimator: AnyEstimator, period: float, ratio: float) -> tuple[AnyEstimator, ...]:
-    """The estimators next to one with a number: a point more or less, or the number times and over ``ratio``."""
+    """The neighbours of an estimator with a number: a point more or less, or the number times and over ``ratio``."""
     if not isinstance(estimator, Estimator):
         return ()
     if estimator.kind == "slope":
@@ -131,7 +131,7 @@ def beside(estimator: AnyEstimator, period: float, ratio: float) -> tuple[AnyEst
 
 
 def could_pass_for(own: AnyEstimator) -> list[AnyEstimator]:
-    """The named estimators, ``own``, and a slope of a point more or less: for a reference half a period late."""
+    """The named estimators, ``own``, and slopes of a point more or less, for a reference half a sample late."""
     more = beside(own, 1.0, 1.0) if not sought(own) else ()
     return list(dict.fromkeys((*ESTIMATORS, own, *more)))
 
@@ -146,14 +146,14 @@ def table_of(estimator: AnyEstimator, number: float | None = None) -> str | dict
 
 @dataclass(frozen=True)
 class ControllerSignals:
-    """What a controller saw and gave: ``reference``, ``position`` and ``command`` (n,), each ``period`` [s].
+    """Inputs and output of a controller: ``reference``, ``position`` and ``command`` (n,), sampled with ``period`` [s].
 
     The reference is a position [m or rad], or a velocity where ``velocity_reference``; ``force`` (n,) [N or N m] is
-    a measured external force; ``used`` (n,) says which samples count. ``whitening`` are the coefficients of the
-    prediction error filter in z^-1 that makes the noise of the command white; ``used`` is about what leaves it.
-    ``levels`` (n,) numbers stretches in each of which the command may carry a constant of its own: each a record, where
-    ``records``, with a constant only if there is an integral. ``times`` (n,) [s]
-    are those of irregular samples, whose noise no filter makes white.
+    a measured external force; ``used`` (n,) is the mask of the samples that count, at the output of the whitening
+    filter. ``whitening`` holds its coefficients in z^-1: the prediction error filter that makes the command's noise
+    white. ``levels`` (n,) numbers stretches whose command may have a constant each. With ``records`` each stretch is a
+    record, and there is a constant only with an integral. ``times`` (n,) [s] are given for irregular samples, whose
+    noise is not whitened.
     """
 
     reference: np.ndarray
@@ -173,19 +173,19 @@ class ControllerSignals:
 
     @property
     def first_level(self) -> ControllerSignals:
-        """The first stretch of ``levels`` alone, up to the last sample of it that counts."""
+        """The first stretch of ``levels``, up to its last sample that counts."""
         if self.levels is None:
             return self
         return self.part(slice(0, int(np.flatnonzero(self.used & (self.levels == self.levels[0]))[-1]) + 1))
 
     def part(self, part: slice) -> ControllerSignals:
-        """A ``part`` of one stretch."""
+        """The samples ``part`` of a single stretch."""
         names = ("reference", "position", "command", "used", "force")
         there = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         return replace(self, levels=None, **{name: values[part] for name, values in there.items()})
 
     def counted(self, columns: np.ndarray) -> np.ndarray:
-        """What counts of ``columns`` (n, ...): whitened, the samples used, without the mean of each stretch."""
+        """The used rows of ``columns`` (n, ...), whitened, less the mean of each stretch."""
         rows = lfilter(self.whitening, [1.0], columns, axis=0)[self.used]
         if self.levels is None:
             return rows
@@ -209,18 +209,16 @@ class Timing:
 
     @property
     def surprise(self) -> float:
-        """-2 log of its probability before the record is seen: half of all loops run at one rate, the rest share.
-
-        And half of all drives take an estimator that has a name.
-        """
+        """-2 log of the prior probability: half of all position loops run at the servo rate, half of all estimators
+        have a name, and the others share the rest equally."""
         rates = 2.0 * float(np.log(len(EVERY) - 1)) if self.every > 1 else 0.0
         return rates + STRANGE_START * (self.phase > 0) + UNUSUAL * (not isinstance(self.velocity_estimator, str))
 
 
 def regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
-    """The columns (n, len(COLUMNS)); ``limited`` (n,) says in which samples the limit acts.
+    """The columns (n, len(COLUMNS)); ``limited`` (n,) is the mask of the samples in which the limit acts.
 
-    What a record cannot have (the error where the reference is a velocity, a force that was not measured) is 0.
+    Columns without data (the error where the reference is a velocity, a force that was not measured) are 0.
 
     >>> ramp = np.arange(4.0)
     >>> signals = ControllerSignals(ramp, 0.5 * ramp, ramp, 1.0, np.ones(4, bool))
@@ -249,7 +247,7 @@ def regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray |
 
 
 def sampled_regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
-    """The first :data:`SAMPLED` columns (n, SAMPLED) without delay: what the samples of a position loop change."""
+    """The first columns (n, SAMPLED) without delay: those that depend on the samples of the position loop."""
     free = _free(len(signals), replace(timing, delay=0), limited)
     return np.column_stack(_of_the_position_loop(signals, timing, free))
 
@@ -266,7 +264,7 @@ def _of_the_position_loop(
 
 
 def _free(n: int, timing: Timing, limited: np.ndarray | None) -> np.ndarray:
-    """In which samples (n,) the integral goes on: the limit acts ``timing.delay`` later than what it is made of."""
+    """Mask (n,) of the samples in which the integral runs: the limit acts ``timing.delay`` samples after its inputs."""
     free = np.ones(n, bool)
     if limited is not None:
         free[: n - timing.delay] = ~limited[timing.delay :]
@@ -274,24 +272,24 @@ def _free(n: int, timing: Timing, limited: np.ndarray | None) -> np.ndarray:
 
 
 def joined(several: Sequence[ControllerSignals]) -> ControllerSignals:
-    """Signals of one controller from several records, one after the other, each a level of its own.
+    """Signals of one controller from several records in sequence, each a level of its own.
 
-    Each starts at the position where the one before ended, so that nothing jumps, and in a sample in which position
-    loops of every rate run; until then the one before stands still, in samples that do not count.
+    Each record is shifted to the final position of the one before, so that nothing jumps, and starts in a sample in
+    which position loops of every rate run. Until then the record before is held constant, in samples that do not count.
     """
     if len(several) == 1:
         return several[0]
     pieces: dict[str, list[np.ndarray]] = {name: [] for name in ("reference", "position", "command", "force", "used")}
     levels, end = [], several[0].position[0]
-    for place, one in enumerate(several):
-        shift = end - one.position[0]
-        reference = one.reference if one.velocity_reference else one.reference + shift
-        own = (reference, one.position + shift, one.command, one.force)
-        more = -len(one) % WHOLE_LOOPS
+    for place, signals in enumerate(several):
+        shift = end - signals.position[0]
+        reference = signals.reference if signals.velocity_reference else signals.reference + shift
+        own = (reference, signals.position + shift, signals.command, signals.force)
+        more = -len(signals) % WHOLE_LOOPS
         for name, column in zip(pieces, own, strict=False):
-            pieces[name].append(np.pad(np.zeros(len(one)) if column is None else column, (0, more), "edge"))
-        pieces["used"].append(np.pad(one.used, (0, more)))
-        levels.append(np.full(len(one) + more, place))
+            pieces[name].append(np.pad(np.zeros(len(signals)) if column is None else column, (0, more), "edge"))
+        pieces["used"].append(np.pad(signals.used, (0, more)))
+        levels.append(np.full(len(signals) + more, place))
         end = pieces["position"][-1][-1]
     columns: dict[str, Any] = {name: np.concatenate(rows) for name, rows in pieces.items()}
     columns["force"] = None if several[0].force is None else columns["force"]
@@ -308,9 +306,9 @@ def estimated_velocity(q: np.ndarray, period: float, estimator: AnyEstimator) ->
 
 
 def _of_the_profile(signals: ControllerSignals) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity and acceleration (n,) that the generator of a position reference has at its samples.
+    """Velocity and acceleration (n,) of the position reference's generator, at its samples.
 
-    Of a polynomial of fourth degree through nine samples each: the steps in which a reference is recorded are smoothed.
+    From a polynomial of fourth degree through nine samples each, which smooths the resolution of a recorded reference.
     """
     r = np.pad(signals.reference, AHEAD, mode="edge")
     first, second = (
@@ -320,13 +318,13 @@ def _of_the_profile(signals: ControllerSignals) -> tuple[np.ndarray, np.ndarray]
 
 
 def held(x: np.ndarray, every: int, phase: int) -> np.ndarray:
-    """``x`` (n,) taken every n-th sample from ``phase`` on and held; before that, as if held since before the start."""
+    """``x`` (n,) sampled in every ``every``-th sample from ``phase`` on, and held; before that ``x[0]``."""
     samples = np.arange(x.size)
     return x[np.maximum((samples - phase) // every * every + phase, 0)]
 
 
 def _held_sum(x: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Sum of ``x`` up to each sample, that keeps nothing of samples that are not ``free``."""
+    """Running sum of ``x`` that does not keep the contribution of samples that are not ``free``."""
     kept = np.cumsum(np.where(free, x, 0.0))
     return np.where(free, kept, kept + x)
 
@@ -335,11 +333,10 @@ def _held_sum(x: np.ndarray, free: np.ndarray) -> np.ndarray:
 class LawStructure:
     """The terms of a controller.
 
-    ``form`` "pi" or "ip", or "" without integral; ``position`` whether a position loop is there; ``share`` of the
-    reference's velocity 0 or 1, or None where it is a number between; ``velocity`` whether velocity is fed back at
-    all; ``acceleration``, ``coulomb``, ``force``, ``offset`` whether these terms are there; ``skew`` whether the
-    position was recorded at another instant than the one that the command follows: next to a law without velocity it
-    shows.
+    ``form`` is "pi" or "ip", or "" without integral; ``position``: with a position loop; ``share``: of the reference's
+    velocity 0 or 1, or None where it is a number to be fitted; ``velocity``: with velocity feedback; ``acceleration``,
+    ``coulomb``, ``force``, ``offset``: with these terms; ``skew``: the position was recorded at another instant than
+    the one that the command follows, which can be seen only in a law without velocity.
     """
 
     form: str = "pi"
@@ -363,53 +360,53 @@ class LawStructure:
 
     @property
     def feeds_forward(self) -> bool:
-        """Whether the velocity of the reference is fed forward to a velocity loop within a position loop."""
+        """Whether the reference's velocity is fed forward to a velocity loop inside a position loop."""
         return self.position and self.velocity and self.share != 0
 
     @property
     def size(self) -> int:
-        """How many numbers it has, without those of filters."""
+        """Number of parameters, without those of filters."""
         return len(self.linear) + bool(self.form)
 
     def combination(self, wi: float | np.ndarray) -> np.ndarray:
-        """What takes the regressors to the columns of ``linear``, (..., len(COLUMNS), n_linear) for ``wi`` (...)."""
+        """Matrix from the regressors to the columns of ``linear``, (..., len(COLUMNS), n_linear) for ``wi`` (...)."""
         constant, integral = _combinations(self)
         return constant + np.multiply.outer(wi, integral)
 
     def stabilising(self, linear: np.ndarray) -> np.ndarray:
-        """Whether these coefficients (..., n_linear) feed position and velocity back with the sign of a controller."""
+        """Whether these coefficients (..., n_linear) feed position and velocity back with a stabilising sign."""
         part = dict(zip(self.linear, np.moveaxis(linear, -1, 0), strict=True))
         velocity = part.get("following", 0.0) + part.get("damping", 0.0)
         return (velocity > 0.0 if self.velocity else True) & (part.get("position", 1.0) > 0.0)
 
     @property
     def simpler(self) -> tuple[LawStructure, ...]:
-        """The structures with one number less."""
-        found = []
+        """The structures with one parameter less."""
+        structures = []
         if self.acceleration:
-            found.append(replace(self, acceleration=False))
+            structures.append(replace(self, acceleration=False))
         if self.coulomb:
-            found.append(replace(self, coulomb=False))
+            structures.append(replace(self, coulomb=False))
         if self.force:
-            found.append(replace(self, force=False))
+            structures.append(replace(self, force=False))
         if self.offset:
-            found.append(replace(self, offset=False))
+            structures.append(replace(self, offset=False))
         if self.skew:
-            found.append(replace(self, skew=False))
+            structures.append(replace(self, skew=False))
         if self.form == "pi":
-            found.append(replace(self, form=""))
+            structures.append(replace(self, form=""))
         if self.velocity and self.share is None:
-            found += [replace(self, share=0), replace(self, share=1)]
+            structures += [replace(self, share=0), replace(self, share=1)]
         if self.position and self.velocity and (self.form or self.share != 0):
-            found.append(replace(self, position=False))
+            structures.append(replace(self, position=False))
         if self.position and self.velocity and not self.form and self.share is not None:
-            found.append(replace(self, velocity=False, share=0))
-        return tuple(found)
+            structures.append(replace(self, velocity=False, share=0))
+        return tuple(structures)
 
 
 @cache
 def _combinations(structure: LawStructure) -> tuple[np.ndarray, np.ndarray]:
-    """The part of the combination that is the same for every ``wi``, and the one in proportion to it."""
+    """The part of the combination that does not depend on ``wi``, and the one in proportion to it."""
     proportional = float(structure.form != "ip")
     constant = {
         "position": {"error": proportional},

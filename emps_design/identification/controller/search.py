@@ -1,10 +1,9 @@
 """Search for the structure that explains a command best: timing and filters in turn, for each delay and form.
 
-Cross spectra of a record in bands, on which timing, form and filters are tried without touching the samples again.
-
-A filter multiplies the regressors' spectra, a delay turns them, and both are nearly constant over a band. So the
-squares that a candidate leaves are a sum over some hundred bands. Spectra are those of first differences over
-``1 - z^-1``: a record need not end where it began, and its mean does not count. What is found here starts :mod:`.fit`.
+The search works on cross spectra of the record in bands, without touching the samples again. A filter multiplies the
+regressors' spectra, a delay rotates their phase, and both are nearly constant over a band. So the residual squares of a
+candidate are a sum over some hundred bands. Spectra are those of first differences divided by ``1 - z^-1``: a record
+need not end where it began, and its mean does not count. The best candidate is the start of :mod:`.fit`.
 """
 
 from __future__ import annotations
@@ -41,13 +40,13 @@ from emps_design.laws.estimators import estimator_at
 
 BANDS = 200
 RIDGE = 1e-11  # of the scaled normal equations, where gains cannot be told apart
-SCAN = 31  # integral rates tried, from so small that it does nothing on
+SCAN = 31  # integral rates tried, from a negligible one on
 
 MOST_FILTERS = 3
-WORTH = 20.0  # of the information criterion: what a further filter must gain
-FILTER_SHOWS = 0.1  # share of the residual's rms that it must take away where the noise is on the position
+WORTH = 20.0  # of the information criterion: least gain of a further filter
+FILTER_SHOWS = 0.1  # share of the residual's rms that a filter must remove where the noise is on the position
 STILL_GAINS = 1e-8  # of the logarithm of the squares: a step that gains less is the last one
-FURTHEST = 6.0  # that the logarithm of an integral rate moves from where it was scanned
+FURTHEST = 6.0  # largest change of the logarithm of an integral rate from its scanned value
 STEPS, FIRST_STEPS = 40, 12  # of the minimisation over filters, and to choose among starts
 TURNS = 8  # of timing and filters, at most
 LOWPASSES = np.geomspace(0.003, 0.5, 16)  # of the sampling frequency
@@ -104,9 +103,9 @@ def bands(n: int) -> np.ndarray:
 def cross(
     signals: ControllerSignals, values: np.ndarray, command: np.ndarray, timing: Timing, like: BandSpectra | None = None
 ) -> BandSpectra:
-    """Cross spectra of ``values`` (n_frequencies, n_columns) among one another and with the ``command``'s.
+    """Cross spectra of ``values`` (n_frequencies, n_columns) with each other and with that of the ``command``.
 
-    Those ``like`` them differ in the samples of the position loop alone, and so in few columns.
+    ``like`` are known spectra that differ only in the samples of the position loop, and so in few columns.
     """
     edges, width = bands(len(values)), len(COLUMNS)
     new = width if like is None else SAMPLED
@@ -127,7 +126,7 @@ def cross(
 
 
 def position_response(z: np.ndarray, period: float, timing: Timing, velocity_reference: bool) -> np.ndarray:
-    """How each regressor answers to the position at ``z`` (n_bands,), (n_bands, n_columns); a hold counts as none."""
+    """Response (n_bands, n_columns) of each regressor to the position at ``z`` (n_bands,); holds are ignored."""
     rate = estimator_at(timing.velocity_estimator, 1.0 / z, period) * (1.0 - 1.0 / z) / period
     total = period / (1.0 - 1.0 / z)
     error = np.zeros_like(z) if velocity_reference else -np.ones_like(z)
@@ -138,8 +137,8 @@ def position_response(z: np.ndarray, period: float, timing: Timing, velocity_ref
 def response(filters: tuple[CommandFilter, ...], s: BandSpectra, delay: int) -> np.ndarray:
     """Frequency response (n_bands,) of the filters and the delay."""
     total = s.z ** (-float(delay))
-    for one in filters:
-        top, bottom = one.coefficients(s.period)
+    for stage in filters:
+        top, bottom = stage.coefficients(s.period)
         powers = s.back[: len(top)]
         total = total * (top @ powers) / (bottom @ powers)
     return total
@@ -154,9 +153,9 @@ def normal(s: BandSpectra, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def least(
     s: BandSpectra, equations: tuple[np.ndarray, np.ndarray], structure: LawStructure, wi: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Squares left (m,) and linear coefficients (m, n_linear) at the integral rates ``wi`` (m,).
+    """Residual squares (m,) and linear coefficients (m, n_linear) at the integral rates ``wi`` (m,).
 
-    The normal ``equations`` are one for all, or one for each.
+    There is one set of normal ``equations`` for all rates, or one for each.
     """
     gram, answer = equations
     combine = structure.combination(wi)
@@ -166,16 +165,17 @@ def least(
     scale = np.sqrt(np.maximum(np.einsum("mii->mi", g), 1e-300))
     g = g / scale[:, :, None] / scale[:, None, :] + RIDGE * np.eye(g.shape[1])
     a = a / scale
-    found = np.linalg.solve(g, a[..., None])[..., 0]
-    return np.maximum(s.power.sum() - np.einsum("mi,mi->m", found, a), 1e-14 * s.power.sum()), found / scale
+    coefficients = np.linalg.solve(g, a[..., None])[..., 0]
+    squares = np.maximum(s.power.sum() - np.einsum("mi,mi->m", coefficients, a), 1e-14 * s.power.sum())
+    return squares, coefficients / scale
 
 
 def squares_and_slopes(
     s: BandSpectra, filters: tuple[CommandFilter, ...], delay: int, structure: LawStructure, wi: float
 ) -> tuple[float, np.ndarray]:
-    """Squares left, and their slopes (1 + n_numbers,) over the logarithm of ``wi`` and the numbers of the filters.
+    """Residual squares and their derivatives (1 + n_numbers,): by the logarithm of ``wi`` and the filters' numbers.
 
-    The linear coefficients are at their best: to first order it does not matter how they move.
+    The linear coefficients are optimal, so to first order their change does not matter.
     """
     h = response(filters, s, delay)
     gram, answer = normal(s, h)
@@ -184,23 +184,24 @@ def squares_and_slopes(
     by_rate = (beta - structure.combination(0.0) @ linear[0]) @ (gram @ beta - answer)
     by_response = np.abs(h) ** 2 * _explained(s, beta) - h * (s.answer @ beta).conj()
     slopes = [by_rate]
-    for one in filters:
-        top, bottom = one.coefficients(s.period)
+    for stage in filters:
+        top, bottom = stage.coefficients(s.period)
         powers = s.back[: len(top)]
         over_top, over_bottom = by_response / (top @ powers), by_response / (bottom @ powers)
-        slopes += [float((t @ powers @ over_top - b @ powers @ over_bottom).real) for t, b in one.slopes(s.period)]
+        slopes += [float((t @ powers @ over_top - b @ powers @ over_bottom).real) for t, b in stage.slopes(s.period)]
     return float(squares[0]), 2.0 * np.array(slopes)
 
 
 def coloured(s: BandSpectra, h: np.ndarray, beta: np.ndarray) -> float:
-    """Squares left, weighed as for noise that is white on the recorded position instead of on the command.
+    """Residual squares, weighted for noise that is white on the recorded position instead of on the command.
 
-    Rounded once more than the controller saw it, a position leaves such a residual, coloured by the law itself.
+    A position that is recorded with a coarser resolution than the controller's leaves such a residual, which the law
+    itself colours.
     """
-    left = s.power - 2.0 * (h.conj() * (s.answer @ beta)).real + np.abs(h) ** 2 * _explained(s, beta)
+    residual = s.power - 2.0 * (h.conj() * (s.answer @ beta)).real + np.abs(h) ** 2 * _explained(s, beta)
     shape = np.maximum(np.abs(h * (s.position @ beta)) ** 2, 1e-300)
     shape = shape / np.exp(np.average(np.log(shape), weights=s.counts))
-    return float(max(np.sum(np.maximum(left, 0.0) / shape), 1e-14 * s.power.sum()))
+    return float(max(np.sum(np.maximum(residual, 0.0) / shape), 1e-14 * s.power.sum()))
 
 
 def _explained(s: BandSpectra, beta: np.ndarray) -> np.ndarray:
@@ -215,7 +216,7 @@ def rates(s: BandSpectra) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LawCandidate:
-    """A structure with its timing and filters, the integral rate ``wi`` [1/s], and the squares that it leaves."""
+    """A structure with its timing and filters, the integral rate ``wi`` [1/s], and its residual squares."""
 
     structure: LawStructure
     timing: Timing
@@ -227,22 +228,22 @@ class LawCandidate:
 
     @property
     def position_noise(self) -> bool:
-        """Whether what is left looks like noise on the recorded position rather than on the command."""
+        """Whether the residual looks like noise on the recorded position rather than on the command."""
         return self.coloured < self.cost
 
     @property
     def criterion(self) -> float:
-        """Bayesian information criterion, with the noise where it fits better."""
+        """Bayesian information criterion, with noise on command or position, whichever fits better."""
         n, size = self.samples, self.structure.size + sum(len(f.numbers) for f in self.filters)
         squares = min(self.cost, self.coloured)
         return n * float(np.log(squares / n)) + size * float(np.log(n)) + self.timing.surprise
 
     @property
     def filter_worth(self) -> float:
-        """What a further filter must gain of the criterion.
+        """Least gain in the criterion of a further filter.
 
-        Noise on the position weakens the command's answer where it is loud, as a filter would: gains that are small
-        next to what is left are no filter then.
+        Loud noise on the position weakens the command's response as a filter would; gains that are small beside the
+        residual are then no evidence of a filter.
         """
         return -2.0 * self.samples * float(np.log(1.0 - FILTER_SHOWS)) if self.position_noise else WORTH
 
@@ -273,11 +274,11 @@ class Spectrum:
 
     @cached_property
     def starts(self) -> tuple[tuple[list[CommandFilter], np.ndarray], ...]:
-        """Low-passes and notches to start from, with their responses (n, n_bands), the same at any timing."""
+        """Initial low-passes and notches with their responses (n, n_bands), the same for any timing."""
         rate, s = 1.0 / self.signals.period, self.at(Timing())
         lowpasses = [CommandFilter.lowpass(share * rate) for share in LOWPASSES]
         notches = [CommandFilter.notch(share * rate, *rest) for share, *rest in NOTCHES]
-        return tuple((some, np.stack([response((one,), s, 0) for one in some])) for some in (lowpasses, notches))
+        return tuple((some, np.stack([response((stage,), s, 0) for stage in some])) for some in (lowpasses, notches))
 
 
 def search(signals: ControllerSignals, limited: np.ndarray | None = None) -> list[LawCandidate]:
@@ -290,11 +291,11 @@ def search(signals: ControllerSignals, limited: np.ndarray | None = None) -> lis
     timings = [Timing(1, 0, delay, name) for name in ESTIMATORS for delay in DELAYS]
     plain = [evaluate(spectrum, structure, timing, ()) for structure in structures for timing in timings]
     plain += _otherwise_estimated(spectrum, structures)
-    started = [one_more_filter(spectrum, one) or one for one in plain]
+    started = [one_more_filter(spectrum, trial) or trial for trial in plain]
     started.sort(key=lambda c: c.criterion)
     beam, done = started[:FOLLOWED], []
     for turn in range(TURNS):
-        after = [improve(spectrum, one) for one in beam]
+        after = [improve(spectrum, trial) for trial in beam]
         done += [old for old, new in zip(beam, after, strict=True) if new is old]
         beam = sorted((new for old, new in zip(beam, after, strict=True) if new is not old), key=lambda c: c.criterion)
         beam = beam[: FOLLOWED if turn == 0 else FOLLOWED_ON]
@@ -307,17 +308,17 @@ def search(signals: ControllerSignals, limited: np.ndarray | None = None) -> lis
 def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[LawStructure]) -> list[LawCandidate]:
     """The best candidates without filters, one of each kind of estimator that has a number."""
     period, best = spectrum.signals.period, dict[str, LawCandidate]()
-    pairs = [(one, delay) for one in structures if one.velocity for delay in DELAYS]
+    pairs = [(structure, delay) for structure in structures if structure.velocity for delay in DELAYS]
     for estimator in with_numbers(period):
         for structure, delay in pairs:
-            one = evaluate(spectrum, structure, Timing(1, 0, delay, estimator), ())
-            if estimator.kind not in best or one.criterion < best[estimator.kind].criterion:
-                best[estimator.kind] = one
-    return [_refined(spectrum, one) for one in best.values()]
+            trial = evaluate(spectrum, structure, Timing(1, 0, delay, estimator), ())
+            if estimator.kind not in best or trial.criterion < best[estimator.kind].criterion:
+                best[estimator.kind] = trial
+    return [_refined(spectrum, trial) for trial in best.values()]
 
 
 def _refined(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
-    """The candidate with the number of its estimator moved to where it is best, along a parabola at the end."""
+    """The candidate with the best number of its estimator; the last step is parabolic interpolation."""
     period = spectrum.signals.period
 
     def with_(estimator: AnyEstimator) -> LawCandidate:
@@ -326,13 +327,13 @@ def _refined(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
 
     for ratio in RATIOS:
         for _ in range(MOVES):
-            near = [with_(one) for one in beside(now.timing.velocity_estimator, period, ratio)]
+            near = [with_(estimator) for estimator in beside(now.timing.velocity_estimator, period, ratio)]
             better = min((now, *near), key=lambda c: c.criterion)
             if better is now:
                 break
             now = better
         if len(near) == 2 and sought(now.timing.velocity_estimator):
-            low, middle, high = (one.criterion for one in (near[0], now, near[1]))
+            low, middle, high = (neighbour.criterion for neighbour in (near[0], now, near[1]))
             bend = low - 2.0 * middle + high
             step = 0.5 * (low - high) / bend * float(np.log(ratio)) if bend > 0.0 else 0.0
             now = min(now, with_(at_step(now.timing.velocity_estimator, step, period)), key=lambda c: c.criterion)
@@ -340,7 +341,7 @@ def _refined(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
 
 
 def _started_elsewhere(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
-    """The candidate with a position loop that starts in another sample of the record, where that is better."""
+    """The candidate whose position loop starts in another sample of the record, where that is better."""
     if not now.structure.position:
         return now
     loops = [replace(now.timing, every=every, phase=phase) for every in EVERY for phase in range(every)]
@@ -349,30 +350,30 @@ def _started_elsewhere(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
 
 
 def improve(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
-    """Choose the position loop's samples, then add or exchange a filter; the same candidate where nothing gains."""
-    found = now
+    """Choose the position loop's samples, then add or exchange a filter; the same candidate where nothing is better."""
+    best = now
     if now.structure.position:
         loops = [replace(now.timing, every=every) for every in EVERY]
         timed = min((evaluate(spectrum, now.structure, loop, now.filters) for loop in loops), key=lambda c: c.criterion)
         if timed.timing != now.timing:
-            found = min(found, polish(spectrum, timed), key=lambda c: c.criterion)
-    if found.structure.feeds_forward and not spectrum.signals.velocity_reference:
-        profile, estimators = not found.timing.profile, could_pass_for(found.timing.velocity_estimator)
-        sources = [replace(found.timing, profile=profile, velocity_estimator=e) for e in estimators]
-        taken = [evaluate(spectrum, found.structure, other, found.filters) for other in sources]
-        found = min((found, *(polish(spectrum, one) for one in taken)), key=lambda c: c.criterion)
-    if found.structure.velocity and not isinstance(found.timing.velocity_estimator, str):
-        found = polish(spectrum, _refined(spectrum, found))
-    fewer = [replace(found, filters=(*found.filters[:i], *found.filters[i + 1 :])) for i in range(len(found.filters))]
-    more = [better for one in (found, *fewer) if (better := one_more_filter(spectrum, one)) is not None]
-    found = min((found, *more), key=lambda c: c.criterion)
-    return found if found.criterion < now.criterion - 1.0 else now
+            best = min(best, polish(spectrum, timed), key=lambda c: c.criterion)
+    if best.structure.feeds_forward and not spectrum.signals.velocity_reference:
+        profile, estimators = not best.timing.profile, could_pass_for(best.timing.velocity_estimator)
+        sources = [replace(best.timing, profile=profile, velocity_estimator=e) for e in estimators]
+        taken = [evaluate(spectrum, best.structure, other, best.filters) for other in sources]
+        best = min((best, *(polish(spectrum, trial) for trial in taken)), key=lambda c: c.criterion)
+    if best.structure.velocity and not isinstance(best.timing.velocity_estimator, str):
+        best = polish(spectrum, _refined(spectrum, best))
+    fewer = [replace(best, filters=(*best.filters[:i], *best.filters[i + 1 :])) for i in range(len(best.filters))]
+    more = [better for trial in (best, *fewer) if (better := one_more_filter(spectrum, trial)) is not None]
+    best = min((best, *more), key=lambda c: c.criterion)
+    return best if best.criterion < now.criterion - 1.0 else now
 
 
 def evaluate(
     spectrum: Spectrum, structure: LawStructure, timing: Timing, filters: tuple[CommandFilter, ...]
 ) -> LawCandidate:
-    """The candidate with these filters as they are, at its best integral rate."""
+    """The candidate with these filters unchanged, at its best integral rate."""
     s = spectrum.at(timing)
     tried = rates(s) if structure.form else np.zeros(1)
     cost, linear = least(s, normal(s, response(filters, s, timing.delay)), structure, tried)
@@ -383,7 +384,7 @@ def evaluate(
 def candidate(
     s: BandSpectra, structure: LawStructure, timing: Timing, filters: tuple[CommandFilter, ...], wi: float
 ) -> LawCandidate:
-    """The candidate with these filters and this integral rate; one that would not stabilise explains nothing."""
+    """The candidate with these filters and this integral rate; one with the wrong sign explains nothing."""
     h = response(filters, s, timing.delay)
     cost, linear = least(s, normal(s, h), structure, np.array([wi]))
     power = float(s.power.sum())
@@ -408,20 +409,20 @@ def polish(spectrum: Spectrum, start: LawCandidate, steps: int = STEPS) -> LawCa
         return start.wi * float(np.exp(x[0])), moved(start.filters, x[1:], s.period)
 
     def squares(x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Logarithm of the squares that are left, and its slopes."""
+        """Logarithm of the residual squares, and its derivatives."""
         wi, filters = numbers(x)
-        left, slopes = squares_and_slopes(s, filters, start.timing.delay, start.structure, wi)
-        return float(np.log(left)), slopes / left
+        total, slopes = squares_and_slopes(s, filters, start.timing.delay, start.structure, wi)
+        return float(np.log(total)), slopes / total
 
-    # Ends where a step gains next to nothing: squares this near to each other are rounded, and their slopes with them.
+    # Stop where a step gains next to nothing: smaller differences of the squares are rounding.
     options = {"ftol": STILL_GAINS, "gtol": 1e-6, "maxiter": steps}
-    found = minimize(squares, np.zeros(len(bounds)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    wi, filters = numbers(found.x)
+    minimum = minimize(squares, np.zeros(len(bounds)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    wi, filters = numbers(minimum.x)
     return candidate(s, start.structure, start.timing, filters, wi)
 
 
 def one_more_filter(spectrum: Spectrum, now: LawCandidate) -> LawCandidate | None:
-    """The candidate with the one further filter that gains most, or None where none is worth its numbers."""
+    """The candidate with the further filter that gains most, or None where none is worth its parameters."""
     if len(now.filters) == MOST_FILTERS:
         return None
     lowpasses, notches = spectrum.starts
@@ -434,14 +435,14 @@ def one_more_filter(spectrum: Spectrum, now: LawCandidate) -> LawCandidate | Non
 def best_starts(
     spectrum: Spectrum, now: LawCandidate, more: list[CommandFilter], responses: np.ndarray, most: int
 ) -> list[LawCandidate]:
-    """The candidate with one filter of ``more``, ``most`` of the best, the best first, each apart from those before."""
+    """The candidate with one filter of ``more`` added: up to ``most``, best first, with distinct frequencies."""
     s = spectrum.at(now.timing)
     h = response(now.filters, s, now.timing.delay)
     costs, _ = least(s, normal(s, h * responses), now.structure, np.full(len(more), now.wi))
-    found: list[LawCandidate] = []
+    starts: list[LawCandidate] = []
     for i in np.argsort(costs, kind="stable"):
-        if all(abs(more[i].numbers[0] - f.filters[-1].numbers[0]) > APART for f in found):
-            found.append(replace(now, filters=(*now.filters, more[i]), cost=float(costs[i])))
-        if len(found) == most:
+        if all(abs(more[i].numbers[0] - f.filters[-1].numbers[0]) > APART for f in starts):
+            starts.append(replace(now, filters=(*now.filters, more[i]), cost=float(costs[i])))
+        if len(starts) == most:
             break
-    return found
+    return starts

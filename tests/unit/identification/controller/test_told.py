@@ -80,7 +80,7 @@ def test_halves_of_one_law_agree_and_of_two_do_not(signals):
     apart = disagreement(found_with(doubled, SLOPE), halves(doubled), numbers)
     assert apart is not None
     assert apart.name == "kv"
-    assert apart.other[0] / apart.one[0] == pytest.approx(1.02, rel=2e-3)
+    assert apart.second[0] / apart.first[0] == pytest.approx(1.02, rel=2e-3)
     assert in_parts(apart, [record_of(LOOP)]).startswith("its halves disagree: kv is 300")
 
 
