@@ -1,4 +1,4 @@
-"""Does a record hold what an identification needs? Each fault is named with what to record instead."""
+"""Checks that a record excites what an identification needs; each error says what to record instead."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.records import Record
 
-REFUSE, KNOWN = "refuse", "known"  # what is done with a record in which an external force was measured
+REFUSE, KNOWN = "refuse", "known"  # treatment of a record with a measured external force
 SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
 SMALLEST_STEPS = 200
 LARGEST_SATURATED_SHARE = 0.2
-SENSOR_NOISE = 0.01  # of the motor force, up to which a measured force may be that of a sensor nobody touches
-WEAK_RELIABILITY = 0.5  # share of a column that the reference explains, below which its parameter is not determined
+SENSOR_NOISE = 0.01  # of the motor force: a smaller measured force may be sensor noise
+WEAK_RELIABILITY = 0.5  # share of a column explained by the reference, below which its parameter is not determined
 
 
 def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_way: bool = False) -> Record:
-    """Raise :class:`RecordError` for a record that cannot identify ``axis``: no motion, no reversal, saturated, pushed.
+    """The record to identify from: without a measured force that is only sensor noise.
 
-    ``one_way``: motion one way only will do. ``external_force`` "known": the measured one is meant to take part, as in
-    (21); "refuse" it otherwise. Returns the record to identify from: without a measured force that is no more than a
-    sensor's noise.
+    Raises :class:`RecordError` for a record that cannot identify ``axis``: without motion, without reversal (unless
+    ``one_way``), saturated, or with a measured external force. With ``external_force`` "known" that force takes part,
+    as in (21).
     """
     stroke = float(np.ptp(record.q))
     step = axis.sampling.encoder_resolution
@@ -48,9 +48,9 @@ def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_w
 
 
 def force_free(record: Record, axis: Axis, external_force: str = REFUSE) -> Record:
-    """The record without a measured force that is a sensor's noise; :class:`RecordError` where it is more than that.
+    """The record without a measured force that is only sensor noise; :class:`RecordError` where it is larger.
 
-    ``external_force`` "known": it is meant to take part, and the record is left as it is.
+    With ``external_force`` "known" the force takes part, and the record is returned unchanged.
     """
     if record.f_ext is None or external_force == KNOWN:
         return record
@@ -67,7 +67,7 @@ def force_free(record: Record, axis: Axis, external_force: str = REFUSE) -> Reco
 
 
 def follows(record: Record) -> bool:
-    """Whether the motion of ``record`` is that of its reference, but for a tenth."""
+    """Whether the motion of ``record`` follows its reference within 10 % (standard deviations)."""
     return float(np.std(record.q - record.q_ref)) <= 0.1 * float(np.std(record.q))
 
 
@@ -84,14 +84,14 @@ def reverses(q: np.ndarray, share: float = 0.02) -> bool:
 
 
 def goes_one_way(record: Record) -> bool:
-    """Whether no piece of ``record`` reverses and all go the same way: then Coulomb and a constant force are one."""
+    """Whether all of ``record`` moves in one direction; Coulomb friction and constant force are one force then."""
     pieces = [record.q[start:stop] for start, stop in record.pieces if stop - start > 1]
     pieces = [q for q in pieces if np.ptp(q) >= 0.02 * max(np.ptp(piece) for piece in pieces)]
     return not any(map(reverses, pieces)) and len({bool(q[-1] > q[0]) for q in pieces}) < 2
 
 
 def one_direction(records: Sequence[Record]) -> int:
-    """1 or -1 where all of ``records`` go one and the same way, 0 otherwise.
+    """1 or -1 where all ``records`` move in the same single direction, 0 otherwise.
 
     >>> up = Record(t=np.arange(3.0), q_ref=np.arange(3.0), q=np.arange(3.0), u=np.ones(3), period=1.0)
     >>> one_direction([up, up]), one_direction([up, replace(up, q=-up.q)])
@@ -102,12 +102,12 @@ def one_direction(records: Sequence[Record]) -> int:
 
 
 def reliability(W: np.ndarray, Z: np.ndarray, lags: tuple[int, ...] = (0,)) -> np.ndarray:
-    """Share of each column of ``W`` that the columns ``Z`` of the reference explain, given the other columns, (p,).
+    """Share (p,) of each column of ``W`` that the columns ``Z`` of the reference explain, given the other columns.
 
-    The partial R^2 of the first stage of instrumental variables; a column of the reference counts with each of the
-    delays ``lags`` [rows], for a loop follows its reference late. Noise in a column pulls its parameter towards zero by
-    about this factor: near 1 the motion is the reference's, near 0 it is noise and the parameter is not determined,
-    however small the deviation that (15) gives it.
+    This is the partial R^2 of the first stage of instrumental variables. Each column of the reference is taken at the
+    delays ``lags`` [rows], for a loop lags its reference. Noise in a column attenuates its parameter by about this
+    factor: near 1 the column is motion; near 0 it is noise and the parameter is not determined, however small its
+    deviation by (15).
 
     >>> W = np.column_stack([np.ones(100), np.arange(100) - 49.5])
     >>> reliability(W, W).round(3).tolist()
@@ -125,9 +125,9 @@ def reliability(W: np.ndarray, Z: np.ndarray, lags: tuple[int, ...] = (0,)) -> n
 
 
 def share_near_gaps(W: np.ndarray, used: np.ndarray, reach: int) -> np.ndarray:
-    """Share of each column of ``W``, less what the others explain, that lies within ``reach`` rows of a gap, (p,).
+    """Share (p,) of each column of ``W``, less what the others explain, that lies within ``reach`` rows of a gap.
 
-    A gap is where rows are not ``used`` (n,).
+    A gap is a run of rows that are not ``used`` (n,).
 
     >>> share_near_gaps(np.arange(5.0)[:, None], np.array([True, True, True, True, False]), 1).round(2).tolist()
     [0.64]
@@ -138,6 +138,6 @@ def share_near_gaps(W: np.ndarray, used: np.ndarray, reach: int) -> np.ndarray:
 
 
 def _own(W: np.ndarray, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """What the other columns leave of one, and an orthonormal basis of theirs."""
+    """The part of column ``index`` orthogonal to the others, and an orthonormal basis of the others."""
     others = np.linalg.qr(np.delete(W, index, axis=1))[0] if W.shape[1] > 1 else np.zeros((len(W), 1))
     return W[:, index] - others @ (others.T @ W[:, index]), others

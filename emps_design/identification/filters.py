@@ -1,13 +1,12 @@
-"""Filters and differences that leave the phase alone, and the hold of the drive.
+"""Zero-phase filters and differences, the hold of the drive, rests and encoder noise.
 
 The drive holds u[k] over [t_k, t_k + T). Averaged with the triangle of width 2T around t_k, the motor force is
 (u[k] + u[k-1])/2 and the acceleration the second difference of the position, both exactly; the ``hold`` chain
-regresses one on the other. A regression of u[k] on the motion at t_k sees half a sample of delay instead.
+regresses one on the other. A regression of u[k] on the motion at t_k has half a sample of delay instead.
 
-Where a record is at rest, and how noisy its encoder is: read from the position alone.
-
-Friction at rest is any force up to the break-away, so rows near a rest say nothing of friction. A low filter would
-smooth a short stop away: rests are looked for in a velocity that is filtered no more than the encoder's noise asks for.
+Rests and encoder noise are found from the position alone. Friction at rest is any force up to the break-away force, so
+rows near a rest do not determine friction. A low cut-off would smooth short stops away, so rests are sought in a
+velocity that is filtered only as much as the encoder noise requires.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ DECIMATION = 10
 BLOCK = 200_000  # samples that are filtered at a time
 
 SLOW = 0.01  # of the largest velocity: below it friction may be that of rest
-HIGHEST = 0.2  # of the sampling frequency, for any low-pass that is chosen
-REACH = 1.5  # periods of the cut-off over which a low-pass spreads a jump
-FAR = 3.0  # the same for what it makes up
-ACCELERATES = 0.1  # of the rms acceleration
-BLOCKS = 50  # in whose median the noise of the encoder is read
-MOVING = 0.1  # of the samples of such a block that differ from the one before, at least
+HIGHEST = 0.2  # of the sampling frequency: highest cut-off that is chosen
+REACH = 1.5  # periods of the cut-off over which a low-pass smears a jump
+FAR = 3.0  # periods of the cut-off over which it smears extrapolated samples
+ACCELERATES = 0.1  # of the rms acceleration: above it an end of the record accelerates
+BLOCKS = 50  # blocks, of whose noise estimates the median counts
+MOVING = 0.1  # of a block's samples that differ from the one before: least share of a block that counts
 
 
 def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4) -> np.ndarray:
-    """Run a Butterworth low-pass forwards and backwards: no phase, twice the attenuation.
+    """Run a Butterworth low-pass forwards and backwards: zero phase, twice the attenuation.
 
     ``signal`` (n,), ``cutoff_hz`` [Hz] below the Nyquist frequency, ``period`` [s]. Returns (n,). The two passes
-    leave half the amplitude at the cut-off. Raises :class:`InputError` for a cut-off that cannot be.
+    leave half the amplitude at the cut-off. Raises :class:`InputError` for an impossible cut-off.
 
     >>> t = np.arange(2000) * 1e-3
     >>> slow = low_pass(np.sin(2 * np.pi * 2 * t) + np.sin(2 * np.pi * 200 * t), 20.0, 1e-3)
@@ -47,7 +46,7 @@ def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4
     return _forwards_and_backwards(_butterworth(order, share), signal, _padding(order, len(signal)), share)
 
 
-# Designing a filter, and its state in a constant signal, take as long as filtering ten thousand samples.
+# Cached: designing a filter and its steady state takes as long as filtering ten thousand samples.
 @lru_cache(maxsize=64)
 def _butterworth(order: int, share: float) -> tuple[np.ndarray, np.ndarray]:
     from scipy.signal import butter, sosfilt_zi
@@ -71,11 +70,11 @@ def share_of_nyquist(cutoff_hz: float, period: float) -> float:
 
 
 def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
-    """Low-pass ``signal`` without phase at 0.8 of the new Nyquist frequency and keep one sample in ``factor``.
+    """Zero-phase low-pass of ``signal`` at 0.8 of the new Nyquist frequency; keeps one sample in ``factor``.
 
-    Chebyshev type I of order 8 with 0.05 dB ripple, forwards and backwards; the last sample is among those kept, as
-    in the routine that the 2019 report used (its tables depend on it). At rest its gain is -0.1 dB, so all columns of a
-    regression shrink alike by 1.1 %. Returns (ceil(n / factor),).
+    Chebyshev type I of order 8 with 0.05 dB ripple, forwards and backwards; the last sample is always kept, as in the
+    routine of the 2019 report (its tables depend on it). Its static gain is -0.1 dB, so all columns of a regression
+    shrink alike by 1.1 %. Returns (ceil(n / factor),).
 
     >>> decimate(np.ones(101), 10).size
     11
@@ -105,23 +104,23 @@ def decimated_rows(n: int, factor: int = DECIMATION) -> slice:
 
 
 def motion(record: Record, cutoff_hz: float) -> Motion:
-    """Position, velocity and acceleration of ``record``, zero-phase low-passed at ``cutoff_hz`` [Hz], full length.
+    """Position, velocity and acceleration (n,) of ``record``, zero-phase low-passed at ``cutoff_hz`` [Hz].
 
-    Velocity is the central, acceleration the second difference (see the module's text on the hold). ``tau`` is zero:
-    :func:`emps_design.identification.inverse_model.with_predicted_force` fills in a model's.
+    Velocity is the central, acceleration the second difference (see the module's text on the hold). ``tau`` is zero;
+    :func:`emps_design.identification.inverse_model.with_predicted_force` sets it to a model's force.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> record = synthetic_record(machine("emps2019"), laps=1)
-    >>> seen = motion(record, 50.0)
-    >>> seen.v.shape == record.q.shape, round(float(abs(seen.v).max()), 1)
+    >>> smooth = motion(record, 50.0)
+    >>> smooth.v.shape == record.q.shape, round(float(abs(smooth.v).max()), 1)
     (True, 0.2)
     """
 
     def smooth(signal: np.ndarray) -> np.ndarray:
         return low_pass(signal, cutoff_hz, record.period)
 
-    # One block for all three: given back as a whole once W is made of it.
+    # One block for all three, which is freed as a whole once W is computed.
     q, v, a = np.empty((3, len(record)))
     q[:] = smooth(record.q)
     v[:] = central_difference(q, record.period)
@@ -131,14 +130,14 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
         q=q,
         v=v,
         a=a,
-        tau=np.zeros(len(q)),  # unlike zeros_like, no memory until somebody writes to it
+        tau=np.zeros(len(q)),  # unlike zeros_like, takes no memory until it is written
         period=record.period,
         smooth=smooth,
     )
 
 
 def held_force(record: Record, force_gain: float, cutoff_hz: float) -> np.ndarray:
-    """Motor force around t_k of a voltage that is held, G_tau (u[k] + u[k-1])/2, low-passed like the motion [N]."""
+    """Motor force (n,) [N] around t_k of a held voltage, G_tau (u[k] + u[k-1])/2, low-passed like the motion."""
     force = low_pass(held(record.u), cutoff_hz, record.period)
     force *= force_gain
     return force
@@ -169,7 +168,7 @@ def median_of_three(signal: np.ndarray) -> np.ndarray:
     return np.maximum(np.minimum(before, signal), median, out=median)
 
 
-# Both differences work in the array that they return: a long record's is not there twice.
+# Both differences work in place on the returned array, to save memory with long records.
 def central_difference(signal: np.ndarray, period: float) -> np.ndarray:
     """Slope of ``signal`` (n,) by central differences, one-sided at the ends, (n,) [unit of signal per s].
 
@@ -203,8 +202,8 @@ def _forwards_and_backwards(
 ) -> np.ndarray:
     """Zero-phase filter of a ``design`` with cut-off ``share`` of the Nyquist frequency; only ``rows``.
 
-    Long signals go through in blocks, which saves memory; they overlap by so much that the answer of the filter to what
-    lies outside has fallen below rounding.
+    Long signals are filtered in blocks, to save memory. They overlap so far that the response to samples outside a
+    block is below rounding.
     """
     n, reach = len(signal), int(200.0 / share)
     if n <= BLOCK + 2 * reach:
@@ -222,7 +221,7 @@ def _forwards_and_backwards(
 
 
 def _zero_phase(design: tuple[np.ndarray, np.ndarray], signal: np.ndarray, padding: int) -> np.ndarray:
-    """scipy's ``sosfiltfilt`` to the bit, of second-order sections whose state in a constant signal is known."""
+    """Bit-identical to scipy's ``sosfiltfilt``, for second-order sections whose steady state is known."""
     from scipy.signal import sosfilt
 
     sections, constant = design
@@ -240,9 +239,9 @@ def _padding(order: int, n: int) -> int:
 
 
 def encoder_variance(record: Record) -> float:
-    """Variance of the encoder's white noise, rounding included [m^2]: the fourth difference of a motion is 70 of it.
+    """Variance [m^2] of the encoder's white noise with its rounding: 1/70 of that of the position's fourth difference.
 
-    Read while the position changes, for an axis at rest shows no steps; no less than the finest step's rounding.
+    Only blocks with motion count, for an axis at rest shows no steps; at least the rounding of the finest step.
 
     >>> t = np.arange(20000) * 1e-3
     >>> q = 0.1 * np.sin(t) + 2e-6 * np.random.default_rng(0).standard_normal(20000)
@@ -258,7 +257,7 @@ def encoder_variance(record: Record) -> float:
 
 
 def _means(signal: np.ndarray) -> np.ndarray:
-    """Means of ``signal`` (n,) over equal blocks one behind the other, (:data:`BLOCKS`,) at most."""
+    """Means of ``signal`` (n,) over successive blocks of equal length, at most :data:`BLOCKS` of them."""
     size, longer = divmod(len(signal), BLOCKS)
     first, rest = signal[: longer * (size + 1)], signal[longer * (size + 1) :]
     parts = first.reshape(longer, size + 1), rest.reshape(-1, size) if size else rest.reshape(0, 1)
@@ -266,11 +265,11 @@ def _means(signal: np.ndarray) -> np.ndarray:
 
 
 def at_rest(record: Record) -> np.ndarray:
-    """Where the carriage turns, is slower than 1 % of its largest velocity, or was not recorded, (n,) of bool."""
+    """Mask (n,) of the samples where the carriage reverses, is slower than 1 % of top speed, or was not recorded."""
     top = HIGHEST / record.period
     rough = central_difference(low_pass(record.q, top, record.period), record.period)
     slow = SLOW * float(np.quantile(np.abs(rough), 0.999))
-    # White noise of variance s^2 has the variance 2 s^2 T (2 pi)^2 f^3 / 3 in the velocity below f.
+    # White noise of variance s^2 causes the variance 2 s^2 T (2 pi)^2 f^3 / 3 of the velocity below f.
     density = max(2.0 * encoder_variance(record) * record.period, 1e-300)
     quiet = (3.0 * (slow / 3.0) ** 2 / ((2.0 * np.pi) ** 2 * density)) ** (1.0 / 3.0)
     v = rough
@@ -278,15 +277,15 @@ def at_rest(record: Record) -> np.ndarray:
         quiet = max(quiet, 10.0 / record.duration)
         v = central_difference(low_pass(record.q, quiet, record.period), record.period)
     rest = (v < slow) & (v > -slow)
-    rest[1:] |= (v[1:] > 0) != (v[:-1] > 0)  # a reversal may pass between two samples
+    rest[1:] |= (v[1:] > 0) != (v[:-1] > 0)  # a reversal may happen between two samples
     return rest | record.in_gap
 
 
 def known(record: Record, a: np.ndarray, cutoff_hz: float) -> np.ndarray:
-    """Where a filter of ``cutoff_hz`` [Hz] sees nothing that it makes up, (n,) of bool.
+    """Mask (n,) of the samples where a filter of ``cutoff_hz`` [Hz] uses no extrapolated signal.
 
-    That is what lies in a gap, and beyond an end at which the axis has an acceleration ``a`` (n,), which no reflection
-    continues: unlike a jump of friction, all of the force is wrong there, and seen from further away.
+    Extrapolated are gaps, and what lies beyond an end at which the axis accelerates (``a`` (n,)), for no reflection
+    continues that. Unlike at a jump of friction all of the force is wrong there, which the filter smears further.
     """
     n = len(record)
     made_up = record.in_gap
@@ -298,15 +297,15 @@ def known(record: Record, a: np.ndarray, cutoff_hz: float) -> np.ndarray:
 
 
 def away_from(rest: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
-    """Where the carriage slides for certain, (n,) of bool: 1.5 periods of the cut-off [Hz] from any ``rest`` (n,).
+    """Mask (n,) of the samples at least 1.5 periods of the cut-off [Hz] from any ``rest`` (n,), which surely slide.
 
-    A zero-phase filter spreads the jump of friction that far to both sides.
+    A zero-phase filter smears a jump of friction that far to both sides.
 
     >>> away_from(np.array([False, False, True, False, False, False]), 1.5, 1.0).tolist()
     [True, False, False, False, True, True]
     """
     reach, n = int(REACH / (cutoff_hz * period)), len(rest)
-    # Rests before each moment, so that those within reach are a difference.
+    # Cumulative count of rests, so that those within reach are a difference.
     before = np.zeros(n + 2 * reach + 1, dtype=np.int32)
     np.cumsum(rest, out=before[reach + 1 : reach + n + 1])
     before[reach + n + 1 :] = before[reach + n]

@@ -1,16 +1,14 @@
-"""Which terms beside the friction model a record asks for by itself: those without which strokes are not foretold.
+"""Terms beside the friction model that a record calls for, and structure in the residual of a fit.
 
-A term that is fitted always explains something of the strokes that it was fitted to. So the strokes are held out part
-by part, and predicted with what the others say: a term is proposed where the error of held-out strokes is at least
-twice as large without it, in one stroke after the other and not by chance, and where it is a part of the force that a
-user should know of. One rule for every term; what it asks for is what a machine obviously has.
+A fitted term always explains part of the strokes that it was fitted to. So strokes are held out in folds and predicted
+from the others. A term is proposed where the error of held-out strokes is at least twice as large without it,
+significantly over the strokes, and where it is a relevant part of the force. The same rule holds for every term.
 
-What a fit leaves of the force, and how much of that comes again wherever the motion does: no noise, but structure.
-
-Noise of one moment says nothing of another. So the residual at a moment is compared with its mean at the moments of
-other strokes at which position, velocity and acceleration were nearest: their product is on the average the square of
-what repeats (a nearest-neighbour estimate of the residual variance: E. Liitiainen et al., 2008). Structure that repeats
-with every stroke tells no more in ten strokes than in one, and the intervals are widened by that.
+The residual of a fit is noise or structure, and structure repeats with the motion. Noise at one moment is independent
+of noise at another. So the residual at a moment is multiplied with its mean at those moments of other strokes at which
+position, velocity and acceleration were nearest: on average the product is the square of what repeats (a
+nearest-neighbour estimate of the residual variance: E. Liitiainen et al., 2008). Structure that repeats with every
+stroke holds no more information in ten strokes than in one, and the intervals are widened accordingly.
 """
 
 from __future__ import annotations
@@ -37,31 +35,31 @@ from emps_design.identification.statistics import LongRun
 from emps_design.records import Record
 from emps_design.stretches import stretches
 
-STATES = ((0, 1, 2), (1,), (0,))  # of position, velocity, acceleration: all, or one by which the others are passed over
-NEIGHBOURS, WITHIN = 6, 64  # moments whose residuals are averaged, among so many that are nearest
-SLOWER = 0.25  # of the cut-off, below which a motion without a reference is what was meant
-ALIKE = 1e-3  # of the deviation of a state, within which two are the same
-MOST_STATES = 0.5  # of them have such neighbours, at least
-APART = 4.0  # correlation times between two moments that are compared, at least
-MOST, SAMPLED, FEWEST_ROWS = 8000, 300, 120  # rows that are looked at, or counted, and at least
-FEWEST_BLOCKS = 12  # of independent moments, to tell structure from chance
+STATES = ((0, 1, 2), (1,), (0,))  # columns of position, velocity, acceleration that are compared: all, or one of them
+NEIGHBOURS, WITHIN = 6, 64  # moments whose residuals are averaged, out of so many nearest ones
+SLOWER = 0.25  # of the cut-off: low-pass for the intended motion where there is no reference
+ALIKE = 1e-3  # of the deviation of a state: random tie-break between equal states
+MOST_STATES = 0.5  # least share of states with such neighbours
+APART = 4.0  # least distance of two compared moments, in correlation times
+MOST, SAMPLED, FEWEST_ROWS = 8000, 300, 120  # most rows compared, rows for counting passes, fewest rows
+FEWEST_BLOCKS = 12  # independent blocks, to tell structure from chance
 CERTAIN = 4.0  # deviations of the mean product from zero
-LITTLE = 0.02  # of the force: structure below it goes without a word, though the intervals hold it
-MUCH = 0.2  # of the force: more left is said, whether it repeats or not
+LITTLE = 0.02  # of the force: smaller structure widens the intervals but causes no warning
+MUCH = 0.2  # of the force: a larger residual causes a warning, whether it repeats or not
 
-FOLDS = 5  # parts of the record, of whole strokes one after the other, that are held out in turn
-TWICE = 2.0  # times as large the error of held-out strokes is without a term that is proposed, at least
-LEVEL = 0.01  # at which a smaller error in the mean stroke is no chance
-POWERS = tuple(np.geomspace(LOWEST, HIGHEST, 8).tolist())  # of a bent friction, that are tried
+FOLDS = 5  # parts of the record, of successive whole strokes, that are held out in turn
+TWICE = 2.0  # least ratio of the errors of held-out strokes without and with a proposed term
+LEVEL = 0.01  # significance level of the test over strokes
+POWERS = tuple(np.geomspace(LOWEST, HIGHEST, 8).tolist())  # exponents of a bent friction that are tried
 FEWEST_STROKES = 3
-RESISTS = ("mass", "viscous", "coulomb")  # parameters that are nothing at least, the first of a model
+RESISTS = ("mass", "viscous", "coulomb")  # parameters that cannot be negative, the first of a model
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What a fit leaves of the force: ``share`` of its rms, of which ``structure`` repeats with the motion.
+    """The residual of a fit: its rms is ``share`` of the force's rms, and ``structure`` is the part that repeats.
 
-    ``passes`` is how often the record comes by the same state; ``widening`` the factor of the deviations.
+    ``passes`` is how often the record passes the same state; ``widening`` the factor on the deviations.
     """
 
     share: float
@@ -76,7 +74,7 @@ class Unexplained:
 
     @property
     def matters(self) -> bool:
-        """Whether the model lacks something that a user should know of."""
+        """Whether the residual is large enough for a warning."""
         return self.structure > LITTLE or self.share > MUCH
 
     def to_dict(self) -> dict[str, Any]:
@@ -90,7 +88,7 @@ class Unexplained:
         }
 
     def warnings(self) -> list[str]:
-        """What a user should know, and the next step."""
+        """A warning with the next step, or [] where the residual is small."""
         if not self.matters:
             return []
         message = f"the model leaves {100.0 * self.share:.2g} % of the force unexplained"
@@ -114,9 +112,9 @@ def unexplained(problem: Regression, residual: np.ndarray, spread: LongRun) -> U
         return none
     state = _state(problem)[rows]
     state /= np.maximum(np.std(state, axis=0), 1e-300)
-    state += ALIKE * np.random.default_rng(0).standard_normal(state.shape)  # of what is equal, any may be nearest
+    state += ALIKE * np.random.default_rng(0).standard_normal(state.shape)  # random choice among equal states
     t, power = problem.filtered.t[rows], float(np.mean(residuals**2))
-    # Structure is correlated along a stroke, too: no longer than leaves enough blocks to tell it from chance.
+    # Structure is correlated along a stroke too; the distance is limited so that enough blocks remain.
     longest = (t[-1] - t[0]) / (2 * FEWEST_BLOCKS)
     apart = min(APART * max(spread.correlation_time, problem.filtered.period * every), longest)
     best, states = max((_repeated(state[:, columns], residuals, t, apart), columns) for columns in STATES)
@@ -127,9 +125,9 @@ def unexplained(problem: Regression, residual: np.ndarray, spread: LongRun) -> U
 
 
 def _state(problem: Regression) -> np.ndarray:
-    """Position, velocity and acceleration (n, 3) that were meant: what noise does to the motion tells of the noise.
+    """Intended position, velocity and acceleration (n, 3), free of noise that would be correlated with the residual.
 
-    Those of the reference where the motion follows it, late or not, else of the motion well below the cut-off.
+    From the reference where the motion follows it, late or not; else from the motion well below the cut-off.
     """
     record, band = problem.record, problem.filtered.band_hz
     late = late_reference(record) if record.q_ref_recorded else record
@@ -141,7 +139,7 @@ def _state(problem: Regression) -> np.ndarray:
 
 
 def late_reference(record: Record) -> Record:
-    """The ``record`` with its reference as late as the motion is behind it on the average.
+    """The ``record`` with its reference delayed by the mean lag of the motion.
 
     >>> t = np.arange(1000) * 1e-3
     >>> record = Record(t=t, q_ref=np.sin(9.0 * t), q=np.sin(9.0 * (t - 0.03)), u=t, period=1e-3)
@@ -154,7 +152,7 @@ def late_reference(record: Record) -> Record:
 
 
 def _repeated(state: np.ndarray, residual: np.ndarray, t: np.ndarray, apart: float) -> float:
-    """Power of what repeats in ``left`` (n,) with the ``state`` (n, k), 0 where chance does as much."""
+    """Power of the part of ``residual`` (n,) that repeats with ``state`` (n, k); 0 where it is not significant."""
     from scipy.spatial import cKDTree
 
     near = cKDTree(state).query(state, min(len(state), WITHIN))[1]
@@ -166,7 +164,7 @@ def _repeated(state: np.ndarray, residual: np.ndarray, t: np.ndarray, apart: flo
         return 0.0
     mean = np.where(other, residual[near], 0.0).sum(axis=1)[known] / count[known]
     product = residual[known] * mean
-    # The product of noise is independent from one block of time to the next.
+    # Products of noise are independent from one block of time to the next.
     block = np.floor((t[known] - t[0]) / apart).astype(int)
     power = float(product.mean())
     deviation = float(np.sqrt(np.sum(np.bincount(block, product - power) ** 2))) / product.size
@@ -175,7 +173,7 @@ def _repeated(state: np.ndarray, residual: np.ndarray, t: np.ndarray, apart: flo
 
 
 def _passes(state: np.ndarray, t: np.ndarray, time: float, apart: float) -> float:
-    """How often the record comes by the same ``state`` (n, k): as near as it moves in its correlation ``time`` [s]."""
+    """Mean number of passes of the same ``state`` (n, k), within the distance moved in a correlation ``time`` [s]."""
     from scipy.spatial import cKDTree
 
     step = max(1, round(time / float(np.median(np.diff(t)))))
@@ -186,7 +184,7 @@ def _passes(state: np.ndarray, t: np.ndarray, time: float, apart: float) -> floa
 
 
 def proposed_for(record: Record, axis: Axis, request: Request) -> tuple[str, ...]:
-    """The terms that ``record`` asks for where ``request`` leaves them to it, at the cut-off that would be chosen."""
+    """The terms that ``record`` calls for, at the cut-off of ``request`` or the one chosen from the record."""
     axis = known_part(axis.supplied_by(record), request.model)
     record = check_record(record, axis, request.external_force)
     cutoff = chosen_cutoff(acting(record, axis)) if request.cutoff is None else request.cutoff
@@ -194,10 +192,10 @@ def proposed_for(record: Record, axis: Axis, request: Request) -> tuple[str, ...
 
 
 def proposed_terms(record: Record, axis: Axis, friction: str, cutoff: float) -> tuple[str, ...]:
-    """The terms that ``record`` asks for beside ``friction``, after the ``hold`` chain with ``cutoff`` [Hz].
+    """The terms that ``record`` calls for beside ``friction``, after the ``hold`` chain with ``cutoff`` [Hz].
 
-    None that ``axis`` has among its effects. All are tried together, and left out one by one while the strokes that
-    take no part are predicted as well, or nearly, without.
+    Effects of ``axis`` are not proposed again. All terms are tried together, and dropped one by one while held-out
+    strokes are predicted about as well without them.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -214,7 +212,7 @@ def proposed_terms(record: Record, axis: Axis, friction: str, cutoff: float) -> 
     try:
         filtered = filter_record(first_part(record), axis, "hold", cutoff)
     except RecordError:
-        return ()  # too little is away from rest, which whoever identifies will say
+        return ()  # too little is away from rest: the identification reports it
     strokes = Strokes(filtered, friction)
     if strokes.count < FEWEST_STROKES:
         return ()
@@ -229,9 +227,9 @@ def proposed_terms(record: Record, axis: Axis, friction: str, cutoff: float) -> 
 
 
 class Strokes:
-    """The strokes of a ``filtered`` record, by the rests between them, each to be predicted from others.
+    """The strokes of a ``filtered`` record, between its rests, each to be predicted from the others.
 
-    ``bounded``: by no model in which mass or friction is less than nothing.
+    ``bounded``: with non-negative mass and friction.
     """
 
     def __init__(self, filtered: Filtered, friction: str, bounded: bool = False) -> None:
@@ -258,7 +256,7 @@ class Strokes:
         self.rows = rows
 
     def errors(self, terms: Sequence[str]) -> np.ndarray:
-        """Sum of squares (strokes,) of the error with which each is predicted by a model with ``terms``, [N^2]."""
+        """Sum of squares (strokes,) [N^2] of the prediction error of each held-out stroke by a model with ``terms``."""
         return self.by_stroke(self.left(terms) ** 2)
 
     def by_stroke(self, values: np.ndarray) -> np.ndarray:
@@ -266,10 +264,10 @@ class Strokes:
         return np.bincount(self.stroke, values, self.count)
 
     def left(self, terms: Sequence[str], others: Sequence[np.ndarray] = (), known: Strokes | None = None) -> np.ndarray:
-        """Error (rows,) [N] with which each row is predicted by what the other parts say of a model with ``terms``.
+        """Prediction error (rows,) [N] of held-out rows by a model with ``terms``, fitted to the other folds.
 
-        ``others`` are columns (rows, k) of further forces beside them. With the strokes ``known`` of another record
-        what those say, all together, predicts.
+        ``others`` are columns (rows, k) of further forces beside them. With the strokes ``known`` of another record the
+        model is fitted to all of those instead.
         """
         if known is not None:
             value, which = known._best_form(known._forms(terms), np.ones(len(known.Y), bool))
@@ -282,7 +280,7 @@ class Strokes:
         return error
 
     def residual(self, terms: Sequence[str], others: Sequence[np.ndarray] = ()) -> np.ndarray:
-        """What a model with ``terms`` and ``others``, fitted to all of them, leaves (rows,) [N]."""
+        """Residual (rows,) [N] of a model with ``terms`` and ``others``, fitted to all rows."""
         forms = self._forms(terms, others)
         value, which = self._best_form(forms, np.ones(len(self.Y), bool))
         return self.Y - forms[which] @ value
@@ -295,7 +293,7 @@ class Strokes:
         return [np.column_stack([W[:, :VISCOUS], bent, W[:, VISCOUS + 1 :]]) for bent in self.bent.T]
 
     def _best_form(self, forms: list[np.ndarray], rows: np.ndarray) -> tuple[np.ndarray, int]:
-        """What ``rows`` (rows,) bool say, (p,), of the one of ``forms`` that leaves least of them, and which it is."""
+        """Solution (p,) of the one of ``forms`` that fits the mask ``rows`` (rows,) best, and its index."""
         tried = [solved(form[rows], self.Y[rows], self.resists) for form in forms]
         squares = [
             float(np.sum((form[rows] @ value - self.Y[rows]) ** 2)) for form, value in zip(forms, tried, strict=True)
@@ -304,14 +302,14 @@ class Strokes:
         return tried[which], which
 
     def ask_for(self, whole: np.ndarray, without: np.ndarray) -> bool:
-        """Whether a term without which the errors (strokes,) are ``without`` in place of ``whole`` is asked for."""
+        """Whether a term is needed: the errors (strokes,) are ``whole`` with it and ``without`` without it."""
         more, power = float(without.sum() - whole.sum()), float(self.Y @ self.Y)
         if without.sum() < TWICE**2 * whole.sum() or more < LITTLE**2 * power:
             return False
         return self.chance(whole, without) < LEVEL
 
     def chance(self, whole: np.ndarray, without: np.ndarray) -> float:
-        """Probability that strokes alike differ by as much in the mean as the errors ``whole`` and ``without``."""
+        """p-value of the mean log ratio of the errors ``without`` and ``whole`` over the strokes (Student's t)."""
         from scipy.stats import t as student
 
         gain = np.log(np.maximum(without, 1e-300)) - np.log(np.maximum(whole, 1e-300))
@@ -320,7 +318,7 @@ class Strokes:
 
 
 def solved(W: np.ndarray, Y: np.ndarray, resists: int = 0) -> np.ndarray:
-    """The solution (p,) of ``W X = Y`` by least squares, its first numbers that ``resists`` are nothing at least.
+    """Least-squares solution (p,) of ``W X = Y`` whose first ``resists`` numbers are not negative.
 
     >>> solved(np.eye(2), np.array([-1.0, -2.0]), 1).tolist()
     [0.0, -2.0]
@@ -331,5 +329,5 @@ def solved(W: np.ndarray, Y: np.ndarray, resists: int = 0) -> np.ndarray:
     from scipy.optimize import lsq_linear
 
     lower = np.where(np.arange(W.shape[1]) < resists, 0.0, -np.inf)
-    size = np.maximum(np.linalg.norm(W, axis=0), 1e-300)  # else the smallest numbers are those of the tolerance
+    size = np.maximum(np.linalg.norm(W, axis=0), 1e-300)  # scaled: else small numbers are lost in the tolerance
     return np.asarray(lsq_linear(W / size, Y, (lower, np.inf), method="bvls").x / size)
