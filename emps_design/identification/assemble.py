@@ -145,13 +145,14 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
     identified = {name: value for name in SOUGHT if (value := _mean(values, name)) is not None}
     negative = [name for name, value in identified.items() if value < 0]
     if negative:
-        return [f"no axis has {_listed(identified, negative)}: {_why_negative(identified, negative)}"]
+        listed = ", ".join(_with_unit(name, identified[name]) for name in negative)
+        return [f"no axis has {listed}: {_why_negative(identified, negative)}"]
     own = {name: float(getattr(axis.mechanics, name)) for name in identified}
     shares = {name: value / own[name] for name, value in identified.items() if own[name] > 0 and value > 0}
     far = [name for name, share in shares.items() if not 1.0 / FAR[name] < share < FAR[name]]
     if not far:
         return []
-    beside = ", ".join(f"{_one(name, identified[name])} where {axis.name} says {own[name]:.4g}" for name in far)
+    beside = ", ".join(f"{_with_unit(name, identified[name])} where {axis.name} says {own[name]:.4g}" for name in far)
     unit = _unit(shares)
     if unit is None:
         why = "another machine or payload, a wrong force gain, or a wrong unit: look at force_gain and the columns"
@@ -190,11 +191,7 @@ def _unit(shares: Mapping[str, float]) -> tuple[str, float] | None:
     return None
 
 
-def _listed(identified: Mapping[str, float], names: list[str]) -> str:
-    return ", ".join(_one(name, identified[name]) for name in names)
-
-
-def _one(name: str, value: float) -> str:
+def _with_unit(name: str, value: float) -> str:
     word = {"mass": "mass", "viscous": "viscous friction", "coulomb": "Coulomb friction"}[name]
     unit = {"mass": "kg", "viscous": "N/(m/s)", "coulomb": "N"}[name]
     return f"{word} {value:.4g} {unit}"
@@ -248,7 +245,7 @@ def assemble(
     if errors.cutoff is not None:
         moved = errors.cutoff.beyond_chance
     halves = np.hypot(spread.quantile * np.linalg.norm([std, bias, steps], axis=0), moved)
-    pushed = _moved_by_another(problem.names, values, halves)
+    pushed = _without_motor_work(problem.names, values, halves)
     for i, written in enumerate(problem.model.quantities):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
         value, half = float(values[i]), float(halves[i])
@@ -332,7 +329,7 @@ def assemble(
     )
 
 
-def _moved_by_another(names: Sequence[str], values: np.ndarray, halves: np.ndarray) -> tuple[str, ...]:
+def _without_motor_work(names: Sequence[str], values: np.ndarray, halves: np.ndarray) -> tuple[str, ...]:
     """Mass and friction parameters where no interval (``halves`` its half widths, (p,)) excludes values <= 0.
 
     A motor that moves an axis accelerates it or works against friction. (All below zero: a column has the wrong sign.)

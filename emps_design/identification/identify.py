@@ -84,9 +84,9 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
         ),
     }
     if hold:
-        errors = Errors(encoder=_encoder(problem, fit), cutoff=_cutoff(problem, fit))
+        errors = Errors(encoder=_encoder_error(problem, fit), cutoff=_cutoff_change(problem, fit))
     else:
-        better, systematic = _against_hold(problem, fit, chosen)
+        better, systematic = _compare_with_hold(problem, fit, chosen)
         errors = Errors(systematic)
         if better is None:
             remarks.append("no interval away from rest: the intervals leave out what friction at rest does to them")
@@ -111,7 +111,7 @@ def _one_way(identification: Identification, model: str) -> Identification:
     return replace(identification, fitted=whole, parameters=parameters, warnings=(*identification.warnings, LUMPED))
 
 
-def _encoder(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
+def _encoder_error(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
     """Rms error (p,) of least squares by the steps of the encoder; None where it is not computed."""
     if len(problem.record) > LONG:
         return None
@@ -124,7 +124,7 @@ def _encoder(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
     return error_of_steps(first_part(problem.record), problem.axis, problem.model, fit.value, estimate)
 
 
-def _cutoff(problem: Regression, fit: LeastSquares) -> CutoffSensitivity:
+def _cutoff_change(problem: Regression, fit: LeastSquares) -> CutoffSensitivity:
     """Sensitivity to half and twice the cut-off; of a long record by its first part."""
     part = first_part(problem.record)
     if part is not problem.record:
@@ -133,12 +133,13 @@ def _cutoff(problem: Regression, fit: LeastSquares) -> CutoffSensitivity:
 
     def at(frequency: float) -> Estimated:
         other = Regression.of(part, problem.axis, problem.model, cutoff=frequency)
-        return _estimated(other, other.solved())
+        return _estimate_with_bias(other, other.solved())
 
-    return cutoff_sensitivity(problem.names, _estimated(problem, fit), problem.filtered.band_hz, part.period, at)
+    own = _estimate_with_bias(problem, fit)
+    return cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, part.period, at)
 
 
-def _estimated(problem: Regression, fit: LeastSquares) -> Estimated:
+def _estimate_with_bias(problem: Regression, fit: LeastSquares) -> Estimated:
     """Least squares, and the known bias by encoder noise in the column of the mass, which pulls the mass down."""
     square = problem.W.T @ problem.W
     own = 1.0 / float(np.linalg.inv(square)[0, 0])  # of the mass's column, less what the others explain
@@ -148,7 +149,7 @@ def _estimated(problem: Regression, fit: LeastSquares) -> Estimated:
     return Estimated(problem.parameters(fit.value), residual_statistics(problem, fit)[0].std, without - fit.value)
 
 
-def _against_hold(
+def _compare_with_hold(
     problem: Regression, fit: LeastSquares, cutoff: float
 ) -> tuple[Identification | None, np.ndarray | None]:
     """Identification by the ``hold`` chain, and the error (p,) of ``fit`` against it; of a long record the first part.
@@ -170,14 +171,14 @@ def _held_out(problem: Regression, fit: LeastSquares, request: Request) -> dict[
     """Force error on held-out data: another record, or the last third; None where the rest alone has no solution."""
     if request.holdout is not None:
         other = problem.alike(force_free(request.holdout, problem.axis, request.external_force))
-        return _judgement(request.holdout.name, other.Y - other.W @ fit.value, other.Y, other.used)
+        return _force_error(request.holdout.name, other.Y - other.W @ fit.value, other.Y, other.used)
     cut = 2 * len(problem.W) // 3
     W, Y, used = problem.W, problem.Y, problem.used
     try:
         first = least_squares(W[:cut], Y[:cut], fit.names, used[:cut])
     except (InputError, RankError):
         return None
-    return _judgement("last third", Y[cut:] - W[cut:] @ first.value, Y[cut:], used[cut:])
+    return _force_error("last third", Y[cut:] - W[cut:] @ first.value, Y[cut:], used[cut:])
 
 
 def held_out_on(identification: Identification, holdout: Record, external_force: str = REFUSE) -> dict[str, Any]:
@@ -186,10 +187,10 @@ def held_out_on(identification: Identification, holdout: Record, external_force:
     other = Regression.of(
         record, identification.axis, identification.fitted, identification.chain, identification.cutoff_hz
     )
-    return _judgement(holdout.name, other.Y - other.W @ identification.solution(), other.Y, other.used)
+    return _force_error(holdout.name, other.Y - other.W @ identification.solution(), other.Y, other.used)
 
 
-def _judgement(on: str, error: np.ndarray, force: np.ndarray, used: np.ndarray) -> dict[str, Any]:
+def _force_error(on: str, error: np.ndarray, force: np.ndarray, used: np.ndarray) -> dict[str, Any]:
     return {
         "on": on,
         "rms_error": float(np.sqrt(error @ error / max(int(used.sum()), 1))),
@@ -282,28 +283,29 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
         return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: motion one way tells too little"))
     from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
 
+    parameters = plain.parameters
     try:
         fit = solve_with_instruments(record, axis, plain.fitted, request.cutoff, request.external_force)
-        undetermined = [name for name, estimate in plain.parameters.items() if _by_noise(estimate, WEAK_RELIABILITY)]
+        undetermined = [name for name in parameters if _hidden_by_noise(parameters[name], WEAK_RELIABILITY)]
         instrumental = fit.identification() if undetermined or fit.test.matters else None
     except (EmpsError, np.linalg.LinAlgError) as error:  # the simulation with this controller does not follow
         return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: {error}"))
-    hidden = [name for name in undetermined if _by_noise(plain.parameters[name], WEAK_INSTRUMENT)]
-    tried = None if instrumental is None else _where_noise_hides(record, axis, request, hidden, instrumental)
+    hidden = [name for name in undetermined if _hidden_by_noise(parameters[name], WEAK_INSTRUMENT)]
+    tried = None if instrumental is None else _output_error_for_hidden(record, axis, request, hidden, instrumental)
     if tried is not None:
-        return replace(_judged(tried, request), proposed=plain.proposed)
+        return replace(_with_held_out_error(tried, request), proposed=plain.proposed)
     instrumented = {} if instrumental is None else instrumental.parameters
     determined = {name: estimate.determined for name, estimate in instrumented.items()}
     if (
         instrumental is None
         or not (fit.test.matters or any(determined[name] for name in undetermined))
-        or any(estimate.determined and not determined[name] for name, estimate in plain.parameters.items())
+        or any(estimate.determined and not determined[name] for name, estimate in parameters.items())
     ):
         return replace(plain, extra=plain.extra | {"hausman_test": fit.test.to_dict()})
     instrumental = replace(
         instrumental, warnings=(*instrumental.warnings, *_weak_column_warnings(instrumental)), proposed=plain.proposed
     )
-    return _judged(instrumental, request)
+    return _with_held_out_error(instrumental, request)
 
 
 # Imported in the functions: the simulation's modules would add a tenth to the memory of a long record's regression.
@@ -337,7 +339,7 @@ BY: dict[str, Callable[[Record, Axis, Request], Identification]] = {
 }
 
 
-def _judged(identification: Identification, request: Request) -> Identification:
+def _with_held_out_error(identification: Identification, request: Request) -> Identification:
     """``identification`` with its force error on the held-out record."""
     if request.holdout is None:
         return identification
@@ -345,7 +347,7 @@ def _judged(identification: Identification, request: Request) -> Identification:
     return replace(identification, extra=identification.extra | {"held_out": judged})
 
 
-def _where_noise_hides(
+def _output_error_for_hidden(
     record: Record, axis: Axis, request: Request, hidden: list[str], instrumental: Identification
 ) -> Identification | None:
     """Output error where it determines the ``hidden`` parameters and agrees with instruments on the rest; else None."""
@@ -376,7 +378,7 @@ def _where_noise_hides(
     return replace(by_output_error, extra=extra, warnings=(*by_output_error.warnings, remark))
 
 
-def _by_noise(estimate: Estimate, weakest: float) -> bool:
+def _hidden_by_noise(estimate: Estimate, weakest: float) -> bool:
     """Whether noise in its column hides the parameter from an estimator that needs a reliability of ``weakest``."""
     return not estimate.determined and estimate.reliability is not None and estimate.reliability < weakest
 

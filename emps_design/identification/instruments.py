@@ -144,7 +144,8 @@ def solve_with_instruments(
     spread, _ = residual_statistics(problem, start)
     value, fit, Z, simulated = start.value, start, problem.W, record
     for _ in range(ITERATIONS):
-        simulated = _simulated_record(record, axis, model, value)
+        run = simulate(record, axis, model, value)
+        simulated = replace(record, q=run.position, u=run.u)
         Z = _columns(simulated, problem)
         fit = _solved(Z, problem)
         change = np.max(np.abs(fit.value - value) / spread.std)
@@ -153,12 +154,6 @@ def solve_with_instruments(
             break
     test = hausman_test(problem, Z, float(np.max(np.abs(value - start.value) / spread.std)))
     return InstrumentalFit(problem, start, fit, Z, simulated, test)
-
-
-def _simulated_record(record: Record, axis: Axis, model: Model, value: np.ndarray) -> Record:
-    """``record`` simulated from its reference alone, with the solution ``value`` (p,)."""
-    run = simulate(record, axis, model, value)
-    return replace(record, q=run.position, u=run.u)
 
 
 def _columns(simulated: Record, problem: Regression) -> np.ndarray:

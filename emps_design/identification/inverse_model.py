@@ -242,7 +242,7 @@ def chosen_cutoff(record: Record) -> float:
     >>> 50.0 < chosen_cutoff(synthetic_record(machine("emps2019"), laps=1)) < 150.0
     True
     """
-    part, lowest, top = _looked_at(record)
+    part, lowest, top = _cutoff_range(record)
     tried = np.geomspace(lowest, top, 1 + int(np.log(top / lowest) / np.log(STEP)))
 
     rest = at_rest(part)
@@ -269,7 +269,9 @@ def chosen_cutoff(record: Record) -> float:
         for shares in (LEAST, ENOUGH)
     )
     power = float(np.mean(motion(part, least).a ** 2))
-    chosen = float(np.clip(_quiet(part, power), least, enough))
+    # Where encoder noise, which grows with the fifth power of the cut-off, reaches its share of the acceleration.
+    quiet = float((NOISE * power / max(acceleration_noise(part, 1.0), 1e-300)) ** 0.2)
+    chosen = float(np.clip(quiet, least, enough))
 
     # Motion hidden by noise is no loss: lower, until noise matters less than chance, or to where both matter least.
     masses = [_mass_at(part, rest, chosen)]
@@ -312,11 +314,6 @@ def _mass_at(record: Record, rest: np.ndarray, cutoff_hz: float) -> _Mass:
     return _Mass(cutoff_hz, float(mass), acceleration_noise(record, cutoff_hz) / own, chance)
 
 
-def _quiet(record: Record, power: float) -> float:
-    """The cut-off [Hz] at which encoder noise reaches :data:`NOISE` of the acceleration's ``power`` [m^2/s^4]."""
-    return float((NOISE * power / max(acceleration_noise(record, 1.0), 1e-300)) ** 0.2)
-
-
 def acceleration_noise(record: Record, cutoff_hz: float) -> float:
     """Power of encoder noise in the acceleration below ``cutoff_hz`` [Hz], [m^2/s^4].
 
@@ -332,7 +329,7 @@ def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> di
     """
     from scipy.signal import welch
 
-    part, lowest, top = _looked_at(record)
+    part, lowest, top = _cutoff_range(record)
 
     def balance(frequency: float) -> tuple[np.ndarray, np.ndarray]:
         W = np.column_stack(list(model.columns(motion(part, frequency))))
@@ -356,7 +353,7 @@ def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> di
     }
 
 
-def _looked_at(record: Record) -> tuple[Record, float, float]:
+def _cutoff_range(record: Record) -> tuple[Record, float, float]:
     """The part of ``record`` that is used for the choice, and the lowest and highest cut-off [Hz] to try."""
     part = first_part(record)
     top = HIGHEST / part.period

@@ -157,10 +157,10 @@ def identify_by_output_error(
     def filtered_error(parameters: np.ndarray) -> np.ndarray:
         return _rows(force_error(parameters), problem)
 
-    value, residual, jacobian = _least(filtered_error, start, model, record.name)
+    value, residual, jacobian = _minimise(filtered_error, start, model, record.name)
     problem, fit = _linear(problem, jacobian, residual, value)
     off = low_pass(record.q - simulate(record, axis, model, value).position, cutoff, record.period)
-    edge = _edge(problem)
+    edge = int(1.0 / (cutoff * record.period))  # samples at each end in which the filter extrapolates
     extra = {
         "closed_loop": {
             "position_rms_error": float(np.sqrt(np.mean(off[edge : len(record) - edge] ** 2))),
@@ -223,11 +223,6 @@ def _linear(
     return replace(problem, W=jacobian, Y=force), fit
 
 
-def _edge(problem: Regression) -> int:
-    """Samples at each end in which the filter extrapolates beyond the record."""
-    return int(1.0 / (problem.filtered.band_hz * problem.record.period))
-
-
 def _rows(force: np.ndarray, problem: Regression) -> np.ndarray:
     """A ``force`` [N] of the record's rate, filtered to the rows of the ``problem``."""
     smooth = low_pass(force, problem.filtered.band_hz, problem.record.period)
@@ -243,7 +238,7 @@ def _mechanics(axis: Axis, model: Model) -> np.ndarray:
     return model.solution({name: model.point.get(name, own.get(name, 0.0)) for name in model.names})
 
 
-def _least(
+def _minimise(
     error: Callable[[np.ndarray], np.ndarray], value: np.ndarray, model: Model, name: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Possible parameters (p,) with the least sum of squares, their error (n,) and its derivatives (n, p)."""

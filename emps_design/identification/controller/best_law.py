@@ -149,7 +149,7 @@ def simplify(signals: ControllerSignals, law: LawFit, worth: float, limited: np.
         if law.seeks_estimator:
             named = [replace(law.timing, velocity_estimator=estimator) for estimator in ESTIMATORS]
             trials += [replace(law, timing=timing) for timing in named]
-        for refit in _in_full(signals, trials, limited, law.criterion + NEARBY + worth):
+        for refit in _refits(signals, trials, limited, law.criterion + NEARBY + worth):
             less = len(refit.filters) < len(law.filters) or law.seeks_estimator > refit.seeks_estimator
             allowed = worth if less else 0.0
             if refit.criterion < law.criterion + allowed:
@@ -184,8 +184,8 @@ def rivals(signals: ControllerSignals, law: LawFit, limited: np.ndarray | None) 
         filters = [law.filters, *(law.filters[:i] + law.filters[i + 1 :] for i in range(len(law.filters)))]
         sources = [(some, source) for some in filters for source in _sources(timing, instead)]
         kinds.append([replace(law, filters=some, timing=source) for some, source in sources if source != timing])
-    others = [*_in_full(signals, loops, limited), *_in_full(signals, estimated, limited)]
-    best = [next(_in_full(signals, kind, limited), None) for kind in kinds]
+    others = [*_refits(signals, loops, limited), *_refits(signals, estimated, limited)]
+    best = [next(_refits(signals, kind, limited), None) for kind in kinds]
     others += [rival for rival in best if rival is not None]
     return sorted(others, key=lambda f: f.criterion)
 
@@ -205,7 +205,7 @@ def mirrored(signals: ControllerSignals, law: LawFit, limited: np.ndarray | None
     return other if inner and other.stabilising else None
 
 
-def _in_full(
+def _refits(
     signals: ControllerSignals, trials: Iterable[LawFit], limited: np.ndarray | None, worst: float = np.inf
 ) -> Iterator[LawFit]:
     """Fits of the stabilising ``trials``, the most promising first; none whose estimate exceeds ``worst``."""
@@ -308,23 +308,23 @@ def best_law(signals: ControllerSignals, only: LawStructure | None = None) -> Be
             free = replace(signals, used=signals.used & ~flat)
             plain = LawFit(PROPORTIONAL, Timing(), none, 0.0, np.zeros(0), 1.0, 1)
             start = min((fit(free, trial) for trial in (start, plain)), key=lambda trial: trial.criterion)
-        free, fitted, limited, limit, holds = _up_to_the_limit(signals, start, flat)
+        free, fitted, limited, limit, holds = _fit_below_limit(signals, start, flat)
         residual = _residual(free, fitted, limited if holds else None)
         attempts.append((float(np.std(residual[free.used])), worth, free, fitted, limited, limit, holds))
-        if only is not None or (limit is None and _as_good_there(signals, residual, flat)):
+        if only is not None or (limit is None and _explains_plateau(signals, residual, flat)):
             break
     _, worth, free, fitted, limited, limit, holds = min(attempts, key=lambda attempt: attempt[0])
     held = limited if holds else None
     if free.records and not fitted.structure.form:
         free = replace(free, levels=None, records=False)
         fitted = fit(free, fitted, held)
-    white, fitted, rivals = _chosen(free, fitted, only is None, worth, held)
+    white, fitted, rivals = _final_fit(free, fitted, only is None, worth, held)
     if limit is not None and holds is None:  # the final law may determine whether the integral stops
-        again = _up_to_the_limit(signals, replace(fitted, structure=replace(fitted.structure, offset=True)), flat)
+        again = _fit_below_limit(signals, replace(fitted, structure=replace(fitted.structure, offset=True)), flat)
         if again[-1] is not None:
             free, fitted, limited, limit, holds = again
             held = limited if holds else None
-            white, fitted, rivals = _chosen(free, fitted, only is None, worth, held)
+            white, fitted, rivals = _final_fit(free, fitted, only is None, worth, held)
     if (other := mirrored(white, fitted, held)) is not None:
         # Where both are equal, the position loop is taken as the slower one, as it is usually tuned.
         if other.criterion < fitted.criterion - AS_GOOD or (
@@ -332,13 +332,13 @@ def best_law(signals: ControllerSignals, only: LawStructure | None = None) -> Be
         ):
             fitted, other = other, fitted
         rivals = [other, *rivals]
-    fitted, *rivals = map(_in_order, (fitted, *rivals))
+    fitted, *rivals = map(_with_sorted_filters, (fitted, *rivals))
     rms = float(np.sqrt(np.mean(_residual(free, fitted, held)[free.used] ** 2)))
     share = rms / float(np.std(signals.command[free.used]))
     return BestLaw(white, fitted, rivals, rms, share, limited, limit, holds)
 
 
-def _chosen(
+def _final_fit(
     free: ControllerSignals, start: LawFit, rivalled: bool, worth: float, held: np.ndarray | None
 ) -> tuple[ControllerSignals, LawFit, list[LawFit]]:
     """The signals behind a filter that whitens the residual of ``start``, the law fitted to them, and its rivals."""
@@ -350,7 +350,7 @@ def _chosen(
     return white, simplify(white, fit(white, fitted, held), worth, held), []
 
 
-def _in_order(law: LawFit) -> LawFit:
+def _with_sorted_filters(law: LawFit) -> LawFit:
     """``law`` with its filters sorted by kind and frequency, for the order of fitting depends on rounding."""
     return replace(law, filters=tuple(sorted(law.filters, key=lambda stage: (stage.kind, stage.frequency))))
 
@@ -367,7 +367,7 @@ def _residual(signals: ControllerSignals, law: LawFit, held: np.ndarray | None) 
     return residual
 
 
-def _as_good_there(signals: ControllerSignals, residual: np.ndarray, flat: np.ndarray) -> bool:
+def _explains_plateau(signals: ControllerSignals, residual: np.ndarray, flat: np.ndarray) -> bool:
     """Whether a law without a limit explains the samples ``flat`` (n,) as well as the rest: none acts then."""
     there, rest = flat & signals.used, ~flat & signals.used
     if not there.any():
@@ -377,7 +377,7 @@ def _as_good_there(signals: ControllerSignals, residual: np.ndarray, flat: np.nd
     return of_rest <= at_all and float(np.sqrt(np.mean(residual[there] ** 2))) <= WORSE_THERE * of_rest
 
 
-def _wanted(signals: ControllerSignals, law: LawFit, held: np.ndarray | None) -> np.ndarray:
+def _unlimited_command(signals: ControllerSignals, law: LawFit, held: np.ndarray | None) -> np.ndarray:
     """Command (n,) of a fit without its limit, with the constant of each level."""
     command = command_of(signals, law, held)
     if signals.levels is None:
@@ -388,7 +388,7 @@ def _wanted(signals: ControllerSignals, law: LawFit, held: np.ndarray | None) ->
     return command + means[signals.levels]
 
 
-def _up_to_the_limit(
+def _fit_below_limit(
     signals: ControllerSignals, start: LawFit, flat: np.ndarray
 ) -> tuple[ControllerSignals, LawFit, np.ndarray | None, float | None, bool | None]:
     """Fit the samples in which no limit acts, alternating between the law and the samples that it shows to be limited.
@@ -401,7 +401,7 @@ def _up_to_the_limit(
     levels = np.cumsum(np.diff(flat.astype(int), prepend=0) == -1) + (0 if signals.levels is None else signals.levels)
     apart = replace(signals, used=signals.used & ~flat, levels=levels, records=False)
     loose = fit(apart, start)
-    wanted = _wanted(apart, loose, None)
+    wanted = _unlimited_command(apart, loose, None)
     noise = robust_deviation((signals.command - wanted)[apart.used])
     limited, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
     if limit is None:
@@ -415,7 +415,7 @@ def _up_to_the_limit(
         fitted, holds = min(tried, key=lambda pair: pair[0].cost)
         if best is None or fitted.cost / fitted.samples < best[1].cost / best[1].samples:
             best = free, fitted, limited, limit, holds
-        wanted = _wanted(free, fitted, limited if holds else None)
+        wanted = _unlimited_command(free, fitted, limited if holds else None)
         noise = robust_deviation((signals.command - wanted)[free.used])
         now, level = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
         if level is None or np.array_equal(now, limited):

@@ -131,7 +131,7 @@ def identify_law(records: Record | Sequence[Record], command_unit: str = "V") ->
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # the matrices here are tall and thin: BLAS threads would only spin
-        return _identified([records] if isinstance(records, Record) else _alike(records), command_unit)
+        return _identified([records] if isinstance(records, Record) else _checked_records(records), command_unit)
 
 
 def _identified(several: list[Record], command_unit: str) -> LawEstimate:
@@ -152,7 +152,7 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
         return _report(several, command_unit, polled, None, parts, f"{IRREGULAR}: that ")
     best, steps = best_law(signals), None
     if not signals.velocity_reference and all(record.velocity_reference is not None for record in several):
-        inner = best_law(joined([_of_its_velocity(*pair) for pair in zip(known, several, strict=True)]))
+        inner = best_law(joined([_with_velocity_reference(*pair) for pair in zip(known, several, strict=True)]))
         if best.rms > INNER * inner.rms:
             best = inner
     if best.share > HOLDS and (stepless := without_steps(signals)) is not None:
@@ -197,7 +197,7 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> ControllerSig
     return ControllerSignals(reference, record.q, command, record.period, used, follows, record.f_ext, levels=levels)
 
 
-def _of_its_velocity(signals: ControllerSignals, record: Record) -> ControllerSignals:
+def _with_velocity_reference(signals: ControllerSignals, record: Record) -> ControllerSignals:
     """The signals of a controller that follows the velocity reference of ``record``, not its position reference."""
     assert record.velocity_reference is not None
     return replace(signals, reference=record.velocity_reference, velocity_reference=True)
@@ -224,7 +224,7 @@ def own_samples(record: Record) -> Record:
     return replace(record, t=t, measured=None, **own)
 
 
-def _alike(records: Sequence[Record]) -> list[Record]:
+def _checked_records(records: Sequence[Record]) -> list[Record]:
     """The records as a list; raises :class:`RecordError` where they cannot come from one controller."""
     first, *others = records
     for other in others:
@@ -273,7 +273,7 @@ def _report(
         return _not_told(name, unit, f"{reason}record it with more digits", **fields)
     spread = covariance(best.signals, best.fit, best.held)
     numbers = with_deviations(best.fit, spread, lambda law: numbers_of(law, velocity_reference))
-    numbers |= _of_two_alike(best, spread, numbers)
+    numbers |= _double_root_deviations(best, spread, numbers)
     loose = [name for name, (value, std) in numbers.items() if name in FEEDBACK and not std < LOOSE * abs(value)]
     if loose:
         reason = f"the record does not determine {', '.join(loose)}; record more motion"
@@ -297,7 +297,8 @@ def _report(
     differ = [not _same_numbers(other, own) for other in others]
     close = [rival for rival, other in zip(close, differ, strict=True) if other]
     equivalents = tuple(table for table, other in zip(others, differ, strict=True) if other)
-    structures = [rival for rival in close if not _same_structure(rival, best.fit)]
+    structure = best.fit.structure, best.fit.timing, len(best.fit.filters)
+    structures = [rival for rival in close if (rival.structure, rival.timing, len(rival.filters)) != structure]
     for other in structures:  # the deviations cover the numbers of every ambiguous structure
         for place, value in numbers_of(other, velocity_reference).items():
             if place in numbers:
@@ -323,7 +324,7 @@ def _report(
     )
 
 
-def _of_two_alike(
+def _double_root_deviations(
     best: BestLaw, spread: Any, numbers: dict[str, tuple[float, float]]
 ) -> dict[str, tuple[float, float]]:
     """``position.kp`` and ``velocity.ti`` with enlarged deviations where their rates may be equal; {} otherwise.
@@ -349,10 +350,6 @@ def _of_two_alike(
 def _rounded(value: float, std: float) -> float:
     """``value`` rounded to the third digit of its deviation ``std``."""
     return float(f"{value:.{max(0, min(15, 2 - int(np.floor(np.log10(std)))))}f}") if std > 0.0 else value
-
-
-def _same_structure(law: LawFit, other: LawFit) -> bool:
-    return law.structure == other.structure and law.timing == other.timing and len(law.filters) == len(other.filters)
 
 
 def _same_numbers(first: Any, other: Any) -> bool:

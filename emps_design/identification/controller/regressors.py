@@ -235,12 +235,12 @@ def regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray |
     ar = np.diff(vr, prepend=vr[:1] if signals.velocity_reference else 0.0) / period
     direction = np.sign(vr)
     if timing.profile:
-        vr, ar = _of_the_profile(signals)
+        vr, ar = _profile_derivatives(signals)
     force = np.zeros(n) if signals.force is None else signals.force
     slip = vr - v
     sums = [_held_sum(x, free) * period for x in (slip, v, force)]
     columns = (slip, sums[0], v, sums[1], ar, direction, sums[2])
-    table = np.column_stack([*_of_the_position_loop(signals, timing, free), *columns, np.ones(n)])
+    table = np.column_stack([*_position_error_columns(signals, timing, free), *columns, np.ones(n)])
     if timing.delay:
         table = np.concatenate([np.repeat(table[:1], timing.delay, axis=0), table[: n - timing.delay]])
     return table
@@ -249,10 +249,10 @@ def regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray |
 def sampled_regressors(signals: ControllerSignals, timing: Timing, limited: np.ndarray | None = None) -> np.ndarray:
     """The first columns (n, SAMPLED) without delay: those that depend on the samples of the position loop."""
     free = _free(len(signals), replace(timing, delay=0), limited)
-    return np.column_stack(_of_the_position_loop(signals, timing, free))
+    return np.column_stack(_position_error_columns(signals, timing, free))
 
 
-def _of_the_position_loop(
+def _position_error_columns(
     signals: ControllerSignals, timing: Timing, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The error (n,) in the samples of the position loop, and its sum times the period."""
@@ -305,7 +305,7 @@ def estimated_velocity(q: np.ndarray, period: float, estimator: AnyEstimator) ->
     return (q - before) / (taps * period)
 
 
-def _of_the_profile(signals: ControllerSignals) -> tuple[np.ndarray, np.ndarray]:
+def _profile_derivatives(signals: ControllerSignals) -> tuple[np.ndarray, np.ndarray]:
     """Velocity and acceleration (n,) of the position reference's generator, at its samples.
 
     From a polynomial of fourth degree through nine samples each, which smooths the resolution of a recorded reference.

@@ -290,7 +290,7 @@ def search(signals: ControllerSignals, limited: np.ndarray | None = None) -> lis
         structures += [replace(structures[1], position=False, share=1), PROPORTIONAL]
     timings = [Timing(1, 0, delay, name) for name in ESTIMATORS for delay in DELAYS]
     plain = [evaluate(spectrum, structure, timing, ()) for structure in structures for timing in timings]
-    plain += _otherwise_estimated(spectrum, structures)
+    plain += _with_estimator_numbers(spectrum, structures)
     started = [one_more_filter(spectrum, trial) or trial for trial in plain]
     started.sort(key=lambda c: c.criterion)
     beam, done = started[:FOLLOWED], []
@@ -302,10 +302,10 @@ def search(signals: ControllerSignals, limited: np.ndarray | None = None) -> lis
         if not beam:
             break
     best, *others = sorted(done + beam, key=lambda c: c.criterion)
-    return [_started_elsewhere(spectrum, best), *others]
+    return [_with_best_phase(spectrum, best), *others]
 
 
-def _otherwise_estimated(spectrum: Spectrum, structures: Sequence[LawStructure]) -> list[LawCandidate]:
+def _with_estimator_numbers(spectrum: Spectrum, structures: Sequence[LawStructure]) -> list[LawCandidate]:
     """The best candidates without filters, one of each kind of estimator that has a number."""
     period, best = spectrum.signals.period, dict[str, LawCandidate]()
     pairs = [(structure, delay) for structure in structures if structure.velocity for delay in DELAYS]
@@ -340,7 +340,7 @@ def _refined(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
     return now
 
 
-def _started_elsewhere(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
+def _with_best_phase(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
     """The candidate whose position loop starts in another sample of the record, where that is better."""
     if not now.structure.position:
         return now

@@ -354,7 +354,7 @@ def unlike(together: LawEstimate, alone: Sequence[LawEstimate]) -> LawEstimate:
 
 def _differences(first: LawEstimate, other: LawEstimate) -> list[str]:
     """Differences between the tables of two laws; of numbers only those beyond their deviations."""
-    tables = [dict(leaves(_of_unlike_estimators(own, against))) for own, against in ((first, other), (other, first))]
+    tables = [dict(leaves(_comparable_table(own, against))) for own, against in ((first, other), (other, first))]
     stds = [dict(leaves(estimate.std)) for estimate in (first, other)]
     differences = []
     for path in dict.fromkeys([*tables[0], *tables[1]]):
@@ -362,11 +362,11 @@ def _differences(first: LawEstimate, other: LawEstimate) -> list[str]:
         spread = sum(std.get(path, 0.0) for std in stds)
         alike = isinstance(a, float) and isinstance(b, float) and abs(a - b) <= DISTINCT * spread
         if a != b and not alike:
-            differences.append(f"{'.'.join(path)} {_shown(a)} and {_shown(b)}")
+            differences.append(f"{'.'.join(path)} {_value_text(a)} and {_value_text(b)}")
     return differences
 
 
-def _of_unlike_estimators(own: LawEstimate, against: LawEstimate) -> dict[str, Any]:
+def _comparable_table(own: LawEstimate, against: LawEstimate) -> dict[str, Any]:
     """The table of ``own``, with its velocity estimator in words where that of ``against`` is of another kind."""
     table = own.controller or {}
     estimator, other = table.get("velocity_estimator"), (against.controller or {}).get("velocity_estimator")
@@ -376,7 +376,7 @@ def _of_unlike_estimators(own: LawEstimate, against: LawEstimate) -> dict[str, A
     return {**table, "velocity_estimator": estimator_in_words(estimator)}
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else "none" if value is None else str(value)
 
 
