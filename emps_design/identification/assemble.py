@@ -250,7 +250,7 @@ def assemble(
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
         value, half = float(values[i]), float(halves[i])
         share, why = shares[i], ""
-        may_be = f"what the record says of it, {value:.3g} +- {half:.2g} {quantity.unit}, may be"
+        interval = f"its interval, {value:.3g} +- {half:.2g} {quantity.unit}, includes"
         if share is not None and share < weakest:
             why = (
                 f"the reference explains {100 * share:.0f} % of its column, the rest is noise; "
@@ -258,19 +258,19 @@ def assemble(
             )
         elif np.isnan(bias[i]) or quantity.name in at_rests:
             why = (
-                "only reversals and rests speak of it, which the inverse model does not hold; record several constant "
+                "only reversals and rests determine it, which the inverse model leaves out; record several constant "
                 "speeds in both directions, with acceleration between them"
             )
         elif half * sizes[i] > swing:
-            why = f"{may_be} more than all of the {axis.units.words('force')}; record several speeds both ways"
+            why = f"{interval} more than all of the {axis.units.words('force')}; record several speeds both ways"
         elif half > abs(value) and half * sizes[i] > OPEN * swing:
-            why = f"{may_be} nothing or half of the {axis.units.words('force')}; record several speeds both ways"
+            why = f"{interval} zero and half of the {axis.units.words('force')}; record several speeds both ways"
         elif quantity.name == "mass" and half >= abs(value):
-            why = f"{may_be} nothing: speeds are constant, or the encoder hides the acceleration; record acceleration"
+            why = f"{interval} zero: speeds are constant, or the encoder hides the acceleration; record acceleration"
         elif quantity.name in pushed:
             why = (
-                f"neither inertia nor friction takes a {axis.units.words('force')} that the record shows, so something "
-                "else than the motor made the motion (a hand, another drive); record motion that the motor makes"
+                f"neither inertia nor friction needs the {axis.units.words('force')} of the record, so something other "
+                "than the motor made the motion (a hand, another drive); record motion that the motor makes"
             )
         if why:
             warnings.append(f"{quantity.name} is not determined: {why}")

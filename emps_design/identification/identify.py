@@ -89,7 +89,9 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> I
         better, systematic = _compare_with_hold(problem, fit, chosen)
         errors = Errors(systematic)
         if better is None:
-            remarks.append("no interval away from rest: the intervals leave out what friction at rest does to them")
+            remarks.append(
+                "too little of the record is away from rest: the intervals leave out the error by friction at rest"
+            )
         else:
             extra["hold_modelled"] = {name: estimate.to_dict() for name, estimate in better.parameters.items()}
     identification = assemble(problem, fit, "least_squares", errors=errors, notes=remarks, extra=extra)
@@ -272,15 +274,13 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
     if request.filter != DEFAULT_CHAIN or axis.controller.kind == NONE or not record.has_reference:
         return plain
     if request.bootstrap:
-        remark = f"{UNTESTED}: a bootstrap is one of least squares"
+        remark = f"{UNTESTED}: a bootstrap goes with least squares"
         return replace(plain, warnings=(*plain.warnings, remark))
     if len(record) > LONG:
-        remark = (
-            f"{LONG} samples are the most that least squares is tested on; a part of the record says if it is biased"
-        )
+        remark = f"{UNTESTED}: the test takes at most {LONG} samples; test a part of the record"
         return replace(plain, warnings=(*plain.warnings, remark))
     if goes_one_way(record):
-        return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: motion one way tells too little"))
+        return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: motion one way is not enough for it"))
     from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
 
     parameters = plain.parameters

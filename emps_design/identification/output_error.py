@@ -68,7 +68,7 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
                 "acceleration between them"
             ]
             raise RecordError(
-                f"{record.name}: {name} came out as {start[name]:.4g}, and no simulation starts from that; {why[0]}"
+                f"{record.name}: {name} came out as {start[name]:.4g}, which cannot be simulated; {why[0]}"
             )
     effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})

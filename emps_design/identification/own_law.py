@@ -19,6 +19,6 @@ def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, str]:
     """
     law = identify_law(record, axis.drive.command_unit)
     if law.controller is None:
-        return None, f"{axis.name} has no controller, and the record tells of none: {law.reason}"
+        return None, f"{axis.name} has no controller, and none is identified from the record: {law.reason}"
     with_law = Axis.from_dict({**axis.to_dict(), "controller": law.controller}, axis.name)
-    return with_law, f"{axis.name} has no controller; the one of the record was used ({law.in_words}), law writes it"
+    return with_law, f"{axis.name} has no controller; the one of the record was used ({law.in_words}); law writes it"

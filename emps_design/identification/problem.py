@@ -112,8 +112,8 @@ def notes(axis: Axis, simulated: bool = False) -> list[str]:
         lines.append(f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}")
     if unused:
         lines.append(
-            f"left out of the regression, for the motion does not give their force: {', '.join(unused)}; they pull at "
-            "mass and friction, output error (oe) has them in its simulation"
+            f"left out of the regression, for the motion does not give their force: {', '.join(unused)}; they "
+            "bias mass and friction, output error (oe) simulates them"
         )
     own = [entry.kind for entry in axis.effects if any(p.per_record for p in entry.effect.parameters)]
     if own:

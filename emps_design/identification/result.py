@@ -216,8 +216,8 @@ class Identification:
             return Axis.from_dict(data, f"identified from {self.record}")
         except InputError as error:
             raise InputError(
-                f"{error}; no machine is like that: a force that the model lacks, such as a weight or a spring, bends "
-                "its numbers, and diagnose names it"
+                f"{error}; no machine has such parameters: a force that the model lacks, such as a weight or a spring, "
+                "biases them, and diagnose names it"
             ) from error
 
     def to_dict(self) -> dict[str, Any]:

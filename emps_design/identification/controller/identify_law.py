@@ -69,7 +69,7 @@ INNER = 2.0  # times the residual by the velocity reference: above it the contro
 SURELY_APART = 3.0  # deviations
 ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
-IRREGULAR = "irregular samples tell no law with a memory, only a proportional one"
+IRREGULAR = "irregular samples identify no law with a memory, only a proportional one"
 
 
 def without_steps(signals: ControllerSignals) -> tuple[ControllerSignals, np.ndarray] | None:

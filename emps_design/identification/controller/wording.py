@@ -283,8 +283,9 @@ def how_far_apart(close: Sequence[LawFit], best: BestLaw) -> str:
     """A note on how far the nearest of the ``close`` laws is, and how much more motion would separate them."""
     apart = max(min(map(best.apart, close)), 1e-6)
     return (
-        f"the nearest of them is {apart:.2g} standard deviations of the noise apart, over all samples; to tell it "
-        f"takes {SURE:.2g}: about {(SURE / apart) ** 2:.2g} times as much of such motion, all given to law"
+        f"the nearest of them is {apart:.2g} standard deviations of the noise apart, over all samples; to "
+        f"separate them takes {SURE:.2g}: about {(SURE / apart) ** 2:.2g} times as much of such motion, in one "
+        "or several records"
     )
 
 

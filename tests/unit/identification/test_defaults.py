@@ -235,4 +235,4 @@ def test_a_law_that_cannot_be_told_leaves_least_squares(simulate):
     lost = replace(record, u=record.u + np.random.default_rng(0).standard_normal(len(record)))
     found = identify(lost, BARE)
     assert found.estimator == "least_squares"
-    assert any("and the record tells of none" in text for text in found.warnings)
+    assert any("and none is identified from the record" in text for text in found.warnings)

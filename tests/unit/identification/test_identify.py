@@ -119,7 +119,7 @@ def test_one_speed_one_way_tells_nothing_and_says_what_to_record(record):
     found = identify(replace(record, q=record.t * 0.01, q_ref=record.t * 0.01), AXIS)
     assert not any(one.determined for one in found.parameters.values())
     warnings = " ".join(found.warnings)
-    assert "may be more than all of the force; record several speeds both ways" in warnings
+    assert "includes more than all of the force; record several speeds both ways" in warnings
     assert "the motion goes one way only" in warnings
 
 
@@ -179,7 +179,7 @@ def test_friction_from_one_speed_is_not_split(record, reference_plant):
     for found in (identify(one_speed, AXIS, estimator=one) for one in ("ls", "iv")):
         assert not found.parameters["coulomb"].determined
         assert found.parameters["constant_force"].determined
-        assert "only reversals and rests speak of it" in " ".join(found.warnings)
+        assert "only reversals and rests determine it" in " ".join(found.warnings)
 
 
 def test_a_record_that_never_slides_long_says_so(record, reference_plant):
@@ -187,7 +187,7 @@ def test_a_record_that_never_slides_long_says_so(record, reference_plant):
     shaken = run_along(reference_plant, record, 0.0005 * (1 - np.cos(2 * np.pi * 9 * t)))
     found = identify(shaken, AXIS)
     assert found.parameters["mass"].value == pytest.approx(AXIS.mechanics.mass, rel=1e-3)
-    assert "viscous is not determined: only reversals and rests speak of it" in " ".join(found.warnings)
+    assert "viscous is not determined: only reversals and rests determine it" in " ".join(found.warnings)
     with pytest.raises(RecordError, match=r"\d+ rows away from rest at a cut-off of 20 Hz.* record longer strokes"):
         identify(shaken, AXIS, cutoff=20.0)
 

@@ -127,4 +127,4 @@ def test_friction_that_may_be_nothing_or_half_of_the_force_is_not_determined():
         u = 0.1 * np.gradient(v, t) + 0.1 * np.sign(v) + size * slow
         found = identify(replace(Record.from_arrays(0.01, q, q, u, layout=layout_of(axis)), q_ref_recorded=False), axis)
         assert found.parameters["coulomb"].determined == determined
-    assert any(text.startswith("coulomb is not determined") and "nothing or half" in text for text in found.warnings)
+    assert any(text.startswith("coulomb is not determined") and "zero and half" in text for text in found.warnings)
