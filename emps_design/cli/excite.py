@@ -87,7 +87,7 @@ def _show(found: Experiment, out: Path | None) -> None:
         f"{found.samples * found.period:g} s, {found.q_ref.size * found.period:.4g} s in all"
     )
     console.print(
-        f"passes at {found.speed:.5g} {unit('m/s')} (asked: {found.asked:.5g}), "
+        f"passes at {found.speed:.5g} {unit('m/s')} (asked: {found.requested_speed:.5g}), "
         f"speed {peaks['slowest']:.4g} to {peaks['velocity']:.4g} {unit('m/s')}, command at most "
         f"{peaks['command']:.4g} {unit('V')}, travel {peaks['stroke']:.4g} {unit('m')}; the amplitude is bound by the "
         f"{found.bound_by}"

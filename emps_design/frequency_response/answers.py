@@ -1,30 +1,23 @@
-"""What a loop answers to its instrument, from records that repeat, or that step from line to line.
+"""Spectra of position and command in answer to the instrument: periodic, stepped and broadband excitation.
 
-Periodic excitation: whole periods, so nothing leaks; noise and transients from the lines between.
+Periodic excitation. Whole periods are transformed, so no power leaks. A stretch of P periods of N samples has a
+spectrum of P N lines, of which at most every P-th is excited. The others hold noise and the transient, which is smooth
+in frequency. A parabola through the lines around an excited one that are no multiples of P gives the transient at that
+line, which is subtracted, and its residuals give the noise: the covariance of position and command from one stretch.
+Lines at multiples of P without excitation hold the nonlinear distortion above that noise. Source: R. Pintelon and
+J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters 3, 4 and 7.
 
-A stretch of P periods of N samples has a spectrum of P N lines. The excitation is on every P-th of them at most; the
-others hold noise, and what is left of the transient, which is smooth in frequency. Around each excited line a parabola
-through the lines that are no multiple of P gives the transient there, to be taken off, and its residuals the noise: a
-covariance of position and command from one stretch, with as many degrees of freedom as lines were used. The lines
-at multiples of P without excitation hold, above that noise, what a nonlinear plant makes of the others: even and
-odd distortion apart. Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.,
-chapters 3, 4 and 7.
+Nonlinear distortion. At base-period lines without excitation a linear plant answers with noise alone, which the lines
+between give. Where only odd lines are excited, a nonlinearity that is even in the motion answers at even lines and an
+odd one, such as dry friction at reversals, at odd lines. Feedback moves the command at these lines too, so the linear
+answer to the command is subtracted first. Source: the same book, chapter 4.
 
-Noise and nonlinear distortion told apart, from the lines of the base period that were left without excitation.
-
-A linear plant answers there with noise only, known from the lines between. Where only odd lines are excited, a
-nonlinearity that is even in the motion answers at even lines and an odd one, such as dry friction that reverses, at odd
-lines, those left out among them. Feedback makes the command move there too, so the linear answer to it is taken off
-first. Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 4.
-
-What a loop answers to an instrument that never repeats, in blocks as long as it and the noise allow.
-
-In long blocks a resonance is resolved; in short ones a sweep stands out of the noise while it passes. So blocks of
-several lengths are tried, and the longest taken that keep, at most frequencies, most of what the best ones tell. What
-short blocks smooth over is no noise: it shows as the difference to blocks of half the length. Since that error goes
-with the square of the width, a third of the difference is left in the longer ones. What a parabola between the lines
-misses shows as the difference to a polynomial of the fourth order; what the windows of averaged spectra cut off, as the
-last of the terms that are taken off for it.
+Broadband excitation. Long blocks resolve a resonance; in short ones a sweep stands out of the noise while it passes.
+Blocks of several lengths are tried, and the longest are taken that keep, at most frequencies, most of the information
+of the best. Short blocks also smooth the response: that bias shows as the difference to blocks of half the length.
+Since it grows with the square of the line width, the longer blocks have a third of the difference. What a parabola
+between the lines misses shows as the difference to a fourth-order polynomial; what the windows of averaged spectra cut
+off, as the last of the correction terms.
 """
 
 from __future__ import annotations
@@ -63,12 +56,12 @@ Method = Callable[[list[Signals], int], tuple[Answer, int]]
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Amplitudes of position increment and command at the lines of one stretch, and what of them is noise.
+    """Amplitudes of position increment and command at the lines of one stretch, and their noise.
 
     ``line`` (m,) numbers within the base period; ``r`` (m,), ``z`` (m, 2) amplitudes; ``noise`` (m, 2, 2) covariance of
-    ``z``; ``freedom`` its degrees of freedom; ``periods`` P; ``excited`` (m,) whether the line is. ``repeated`` (m,) is
-    the part of the noise of the position that is the encoder's steps and repeats with the excitation, ``by_chance`` all
-    that repeats of them over what would by chance.
+    ``z``; ``freedom`` its degrees of freedom; ``periods`` P; ``excited`` (m,) True at excited lines. ``repeated`` (m,)
+    is the power of the encoder's steps that repeats with the excitation, a part of the position's noise; ``by_chance``
+    is the ratio of all power of the steps that repeats to the power that would repeat by chance.
     """
 
     line: np.ndarray
@@ -82,7 +75,7 @@ class Spectra:
     by_chance: float
 
     def at(self, lines: np.ndarray) -> Spectra:
-        """Those of ``lines`` (m,) alone."""
+        """The spectra at the indices, or where the mask, ``lines`` selects."""
         return replace(
             self,
             line=self.line[lines],
@@ -95,22 +88,24 @@ class Spectra:
 
 
 def spectra(signals: Signals, highest: float) -> list[Spectra]:
-    """Spectra of the stretches of ``signals`` up to ``highest`` [Hz]; the loop settles over a third of a period first,
-    or over the first period of a long stretch that has no such rest.
+    """Spectra of the stretches of ``signals`` up to ``highest`` [Hz].
+
+    The loop settles first: over what a stretch has beyond whole periods, or, of a stretch of three periods or more with
+    less than a third of one beyond, over its first period.
     """
-    found = []
+    by_stretch = []
     for start, stop in signals.stretches:
         periods = (stop - start) // signals.repeats
         if periods >= 3 and 3 * (stop - start - periods * signals.repeats) < signals.repeats:
             periods -= 1
         if periods >= 2:
             begin = stop - periods * signals.repeats
-            found.append(_stretch(signals, begin, periods, highest))
-    return found
+            by_stretch.append(_stretch(signals, begin, periods, highest))
+    return by_stretch
 
 
 def step_spectra(signals: Signals, step: Step) -> Spectra:
-    """The spectra of a step at its one line."""
+    """Spectra of one ``step`` of a stepped sine, at its line."""
     periods = (step.stop - step.start) // step.samples
     just_above = (step.turns + 0.5) / (step.samples * signals.period)
     whole = _stretch(replace(signals, repeats=step.samples), step.stop - periods * step.samples, periods, just_above)
@@ -147,16 +142,16 @@ def _stretch(signals: Signals, begin: int, periods: int, highest: float) -> Spec
             weights[tuple(own)] = (fit[0], np.eye(own.size) - powers @ fit)
         intercept, away = weights[tuple(own)]
         around = both[centre + own]
-        left = away @ around
+        residuals = away @ around
         transient[i] = intercept @ around
-        noise[i] = left.T @ left.conj() / (own.size - ORDER - 1) * (1.0 + intercept @ intercept)
+        noise[i] = residuals.T @ residuals.conj() / (own.size - ORDER - 1) * (1.0 + intercept @ intercept)
     more, by_chance = quantised(signals.dq[part], periods, at, excited, noise[:, 0, 0].real, signals.step)
     noise[:, 0, 0] += more
     return Spectra(line, r[at], both[at] - transient, noise, LINES - ORDER - 1, periods, excited, more, by_chance)
 
 
 def _level(values: np.ndarray, periods: int) -> np.ndarray:
-    """``values`` without their mean and the trend of the means of their periods, which no excitation is part of."""
+    """``values`` without their mean and the trend of the means of their periods, to which no excitation contributes."""
     means = values.reshape(periods, -1).mean(axis=1)
     place = np.arange(periods) - 0.5 * (periods - 1)
     slope = float(place @ (means - means.mean()) / (place @ place)) * periods / values.size
@@ -165,10 +160,10 @@ def _level(values: np.ndarray, periods: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """Amplitudes relative to the linear answer: of odd and even distortion and of the noise of one period.
+    """Odd and even distortion and the noise of one period, rms relative to the linear answer.
 
-    None where no line of that kind was left without excitation. ``odd_lines`` (m,) [Hz] and ``odd_power`` (m,),
-    relative, noise taken off, say where the odd distortion is.
+    A level is None where every line of its kind is excited. ``odd_lines`` (m,) [Hz] and ``odd_power`` (m,), relative
+    and without noise, are the spectrum of the odd distortion.
     """
 
     noise: float
@@ -178,9 +173,9 @@ class Distortion:
     odd_power: np.ndarray
 
     def odd_variance(self, frequency: np.ndarray, power: np.ndarray) -> np.ndarray:
-        """Relative variance (n,) that odd distortion adds to a response; more averages do not lower it.
+        """Relative variance (n,) that odd distortion adds to a response; averaging does not lower it.
 
-        ``power`` (n,) of the motion: what moves less than the lines beside it is distorted the more.
+        ``power`` (n,) is that of the motion: a line with less motion than its neighbours is distorted more.
         """
         if self.odd is None or not self.odd > 0.0:
             return np.zeros(frequency.size)
@@ -194,41 +189,41 @@ class Distortion:
 
     @property
     def words(self) -> list[str]:
-        """What to say of it."""
-        found = []
+        """A sentence for each kind of distortion above 5 %."""
+        sentences = []
         for name, level in (("odd", self.odd), ("even", self.even)):
             if level is not None and level > 0.05:
-                found.append(
+                sentences.append(
                     f"{name} nonlinear distortion of {100 * level:.2g} % of the linear answer, noise of one period "
                     f"{100 * self.noise:.2g} %"
                 )
-        return found
+        return sentences
 
     def to_dict(self) -> dict[str, Any]:
         """The three levels."""
         return {"noise": self.noise, "odd": self.odd, "even": self.even}
 
 
-def distortion_of(found: list[Spectra], excited: np.ndarray, step: float, g: np.ndarray) -> Distortion | None:
-    """Compare the lines without excitation with noise and with the linear answer at the excited lines beside them.
+def distortion_of(stretches: list[Spectra], excited: np.ndarray, step: float, g: np.ndarray) -> Distortion | None:
+    """Distortion at the lines without excitation, relative to the linear answer at the nearest excited line.
 
-    ``excited`` (m,) says which lines of the base period are, ``step`` [Hz] apart; ``g`` is increment over command
-    there. None where every line is.
+    ``excited`` (m,) marks the excited lines of the base period, ``step`` [Hz] apart; ``g`` is increment over command at
+    them. None where every line between the first and the last is excited.
     """
-    line = found[0].line
+    line = stretches[0].line
     inside = (line > line[excited][0]) & (line < line[excited][-1]) & ~excited
     if not np.any(inside):
         return None
     nearest = np.array([int(np.argmin(np.abs(line[excited] - k))) for k in line[inside]])
     there = g[nearest]
     power, noise, linear = np.zeros((3, there.size))
-    for one in found:
-        rest = one.z[inside, 0] - there * one.z[inside, 1]
-        C = one.noise[inside]
+    for stretch in stretches:
+        rest = stretch.z[inside, 0] - there * stretch.z[inside, 1]
+        C = stretch.noise[inside]
         own = C[:, 0, 0].real + np.abs(there) ** 2 * C[:, 1, 1].real - 2.0 * (C[:, 0, 1] * there.conj()).real
         power = power + np.abs(rest) ** 2
         noise = noise + own
-        linear = linear + np.abs(there * one.z[excited, 1][nearest]) ** 2
+        linear = linear + np.abs(there * stretch.z[excited, 1][nearest]) ** 2
     odd = line[inside] % 2 == 1
     only_odd = bool(np.all(line[excited] % 2 == 1))
 
@@ -237,13 +232,14 @@ def distortion_of(found: list[Spectra], excited: np.ndarray, step: float, g: np.
             return None
         share = (power - noise)[which] / linear[which]
         by_noise = noise[which] / linear[which]
-        # The mean of so many powers, each of a line and a pass, differs by chance by one over the root of their number.
-        count = len(found) * float(np.sum(by_noise) ** 2 / np.sum(by_noise**2))
-        seen = np.mean(power[which] / linear[which]) > min(SEEN, 1.0 + CHANCE / np.sqrt(count)) * np.mean(by_noise)
-        return float(np.sqrt(max(np.mean(share), 0.0))) if seen else 0.0
+        # The relative deviation of a mean of powers, one of each line and pass, is one over the root of their number.
+        count = len(stretches) * float(np.sum(by_noise) ** 2 / np.sum(by_noise**2))
+        threshold = min(SEEN, 1.0 + CHANCE / np.sqrt(count)) * np.mean(by_noise)
+        significant = np.mean(power[which] / linear[which]) > threshold
+        return float(np.sqrt(max(np.mean(share), 0.0))) if significant else 0.0
 
     return Distortion(
-        float(np.sqrt(np.mean(noise * np.mean([one.periods for one in found]) / linear))),
+        float(np.sqrt(np.mean(noise * np.mean([stretch.periods for stretch in stretches]) / linear))),
         level(odd),
         level(~odd) if only_odd else None,
         step * line[inside][odd],
@@ -253,10 +249,10 @@ def distortion_of(found: list[Spectra], excited: np.ndarray, step: float, g: np.
 
 @dataclass(frozen=True, eq=False)
 class Extra:
-    """What else an estimate found: periods, scatter between the passes, distortion, and the ratio of spectra (m,).
+    """Figures beside an answer: passes, periods, averages, ratio of spectra (m,), scatter between passes, distortion.
 
-    ``steps`` is the power of the encoder's steps that repeats over what would by chance, where most of the noise is
-    that. ``bias`` is the relative variance, (m,) or 0, of what is no noise and no average lowers.
+    ``steps`` is the ratio of the power of the encoder's steps that repeats to what would repeat by chance; 1 where the
+    steps are less than half of the noise. ``bias``, (m,) or 0, is the relative variance that averaging does not lower.
     """
 
     passes: int
@@ -269,178 +265,183 @@ class Extra:
     bias: np.ndarray | float = 0.0
 
 
-def periodic_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
+def periodic_answer(signals: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
     """The answer at the excited lines of whole periods up to ``highest`` [Hz], averaged over all stretches."""
-    for one in read:
-        if not one.repeats:
-            raise RecordError(f"{one.name}: the {one.kind} repeats nowhere, expected two whole periods on one pass")
-    if len({one.repeats for one in read}) > 1:
-        every = ", ".join(f"{one.name}: {one.repeats * one.period:g} s" for one in read)
+    for record in signals:
+        if not record.repeats:
+            raise RecordError(
+                f"{record.name}: the {record.kind} repeats nowhere, expected two whole periods on one pass"
+            )
+    if len({record.repeats for record in signals}) > 1:
+        every = ", ".join(f"{record.name}: {record.repeats * record.period:g} s" for record in signals)
         raise RecordError(f"found periods that differ ({every}), expected the same excitation in every record")
-    found: list[Spectra] = []
-    for i, one in enumerate(read):
-        tell("spectra", i / len(read))
-        found += spectra(one, highest)
-    excited = np.all([one.excited for one in found], axis=0)
+    stretches: list[Spectra] = []
+    for i, record in enumerate(signals):
+        tell("spectra", i / len(signals))
+        stretches += spectra(record, highest)
+    excited = np.all([stretch.excited for stretch in stretches], axis=0)
     if np.count_nonzero(excited) < 4:
         raise RecordError(
-            f"{read[0].name}: found {np.count_nonzero(excited)} excited lines, expected at least 4; excite more of the "
-            "band, or more strongly"
+            f"{signals[0].name}: found {np.count_nonzero(excited)} excited lines, expected at least 4; excite more of "
+            "the band, or more strongly"
         )
-    line = found[0].line[excited]
-    frequency = line / (read[0].repeats * read[0].period)
-    answer, ratio, scatter = _mean([one.at(excited) for one in found], frequency)
-    distortion = distortion_of(found, excited, float(frequency[0] / line[0]), answer.z[:, 0] / answer.z[:, 1])
-    periods = sum(one.periods for one in found)
-    return answer, Extra(len(found), periods, periods, ratio, scatter, distortion, _steps(found, excited))
+    line = stretches[0].line[excited]
+    frequency = line / (signals[0].repeats * signals[0].period)
+    answer, ratio, scatter = _mean([stretch.at(excited) for stretch in stretches], frequency)
+    distortion = distortion_of(stretches, excited, float(frequency[0] / line[0]), answer.z[:, 0] / answer.z[:, 1])
+    periods = sum(stretch.periods for stretch in stretches)
+    return answer, Extra(len(stretches), periods, periods, ratio, scatter, distortion, _steps(stretches, excited))
 
 
-def stepped_answer(read: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
+def stepped_answer(signals: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
     """The answer at the line of each step up to ``highest`` [Hz], averaged over the steps at the same line."""
     lines: dict[float, list[Spectra]] = {}
-    for i, one in enumerate(read):
-        tell("steps", i / len(read))
-        for step in one.steps:
-            frequency = step.turns / (step.samples * one.period)
+    for i, record in enumerate(signals):
+        tell("steps", i / len(signals))
+        for step in record.steps:
+            frequency = step.turns / (step.samples * record.period)
             if frequency <= highest:
-                lines.setdefault(round(frequency, 9), []).append(step_spectra(one, step))
+                lines.setdefault(round(frequency, 9), []).append(step_spectra(record, step))
     if len(lines) < 4:
-        raise RecordError(f"{read[0].name}: found {len(lines)} steps at different lines, expected at least 4")
+        raise RecordError(f"{signals[0].name}: found {len(lines)} steps at different lines, expected at least 4")
     means = [_mean(lines[f], np.array([f])) for f in sorted(lines)]
-    repeated = _steps([one for f in lines for one in lines[f]], np.array([True]))
+    repeated = _steps([stretch for f in lines for stretch in lines[f]], np.array([True]))
     answers = [answer for answer, _, _ in means]
     answer = Answer(
-        np.concatenate([one.frequency for one in answers]),
-        np.concatenate([one.z for one in answers]),
-        np.concatenate([one.noise for one in answers]),
-        float(np.mean([one.freedom for one in answers])),
-        np.concatenate([one.weight for one in answers]),
+        np.concatenate([answer.frequency for answer in answers]),
+        np.concatenate([answer.z for answer in answers]),
+        np.concatenate([answer.noise for answer in answers]),
+        float(np.mean([answer.freedom for answer in answers])),
+        np.concatenate([answer.weight for answer in answers]),
     )
     steps = sum(map(len, lines.values()))
-    blocks_of = float(np.mean([sum(one.periods for one in lines[f]) for f in lines]))
+    blocks_of = float(np.mean([sum(stretch.periods for stretch in lines[f]) for f in lines]))
     scatter = float(np.mean([scatter for _, _, scatter in means]))
     ratio = np.concatenate([ratio for _, ratio, _ in means])
     return answer, Extra(steps, round(blocks_of), blocks_of, ratio, scatter, steps=repeated)
 
 
-def _steps(found: list[Spectra], excited: np.ndarray) -> float:
-    """What repeats of the encoder's steps over what would by chance; 1 where that is not most of the noise."""
-    share = np.median([one.repeated[excited] / one.noise[excited, 0, 0].real for one in found])
-    return float(np.median([one.by_chance for one in found])) if share > 0.5 else 1.0
+def _steps(stretches: list[Spectra], excited: np.ndarray) -> float:
+    """Power of the encoder's steps that repeats over what would by chance; 1 where it is not most of the noise."""
+    share = np.median([stretch.repeated[excited] / stretch.noise[excited, 0, 0].real for stretch in stretches])
+    return float(np.median([stretch.by_chance for stretch in stretches])) if share > 0.5 else 1.0
 
 
-def _mean(found: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarray, float]:
-    """Several spectra at the same excited lines as one answer, each by its power; the ratio of spectra, and the scatter
-    between them over what their noise explains."""
-    weights = np.array([one.periods * np.abs(one.r) ** 2 for one in found])
+def _mean(stretches: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.ndarray, float]:
+    """The mean of spectra at the same excited lines, weighted by power; the ratio of spectra (m,); the variance between
+    the stretches over what their noise explains."""
+    weights = np.array([stretch.periods * np.abs(stretch.r) ** 2 for stretch in stretches])
     share = weights / weights.sum(axis=0)
-    each = np.array([one.z / one.r[:, None] for one in found])
-    own = np.array([one.noise / np.abs(one.r[:, None, None]) ** 2 for one in found])
+    each = np.array([stretch.z / stretch.r[:, None] for stretch in stretches])
+    own = np.array([stretch.noise / np.abs(stretch.r[:, None, None]) ** 2 for stretch in stretches])
     z = np.sum(share[..., None] * each, axis=0)
     noise = np.sum(share[..., None, None] ** 2 * own, axis=0)
-    # What repeats of the encoder's steps does so on the next pass too: of it amplitudes add up.
-    repeated = share * np.sqrt([one.repeated / np.abs(one.r) ** 2 for one in found])
+    # Steps of the encoder that repeat do so on the next pass too: their amplitudes add up.
+    repeated = share * np.sqrt([stretch.repeated / np.abs(stretch.r) ** 2 for stretch in stretches])
     noise[:, 0, 0] += np.sum(repeated, axis=0) ** 2 - np.sum(repeated**2, axis=0)
-    answer = Answer(frequency, z, noise, float(found[0].freedom * len(found)), weights.sum(axis=0))
+    answer = Answer(frequency, z, noise, float(stretches[0].freedom * len(stretches)), weights.sum(axis=0))
     g = z[:, 0] / z[:, 1]
     scatter = 1.0
-    if len(found) > 1:
-        # What a pass differs by from the mean, as an output, against what its own noise predicts.
-        left = each[..., 0] - g * each[..., 1]
+    if len(stretches) > 1:
+        # The difference of a pass to the mean, as an output error, against the variance that its noise predicts.
+        residual = each[..., 0] - g * each[..., 1]
         predicted = own[..., 0, 0].real + np.abs(g) ** 2 * own[..., 1, 1].real - 2.0 * (own[..., 0, 1] * g.conj()).real
-        scatter = float(np.mean(np.abs(left) ** 2 / predicted / (1.0 - share)))
-    ratio = np.sum([o.z[:, 0] * o.z[:, 1].conj() + o.noise[:, 0, 1] * o.periods for o in found], axis=0)
-    ratio /= np.sum([np.abs(o.z[:, 1]) ** 2 + o.noise[:, 1, 1].real * o.periods for o in found], axis=0)
+        scatter = float(np.mean(np.abs(residual) ** 2 / predicted / (1.0 - share)))
+    cross = [
+        stretch.z[:, 0] * stretch.z[:, 1].conj() + stretch.noise[:, 0, 1] * stretch.periods for stretch in stretches
+    ]
+    own_power = [np.abs(stretch.z[:, 1]) ** 2 + stretch.noise[:, 1, 1].real * stretch.periods for stretch in stretches]
+    ratio = np.sum(cross, axis=0) / np.sum(own_power, axis=0)
     return answer, ratio, scatter
 
 
 def broadband_answer(
-    read: list[Signals], method: str, low: float, highest: float, tell: Progress
+    signals: list[Signals], method: str, low: float, highest: float, tell: Progress
 ) -> tuple[Answer, Extra]:
-    """The answer of what does not repeat, by the ``method`` local-polynomial or welch."""
+    """The answer to an excitation that does not repeat, by ``method`` local-polynomial or welch."""
 
     def polynomial(signals: list[Signals], samples: int) -> tuple[Answer, int]:
-        parts = [(one, part) for one in signals for part in blocks(one, samples)]
+        parts = [(record, part) for record in signals for part in blocks(record, samples)]
         longest = max((part.stop - part.start for _, part in parts), default=0)
-        parts = [(one, part) for one, part in parts if part.stop - part.start >= ALIKE * longest]
+        parts = [(record, part) for record, part in parts if part.stop - part.start >= ALIKE * longest]
         shortest = min((part.stop - part.start for _, part in parts), default=0)
         if shortest < FEWEST_OF_A_BLOCK:
             raise RecordError(
-                f"{read[0].name}: found stretches of {shortest} samples, expected at least {FEWEST_OF_A_BLOCK}"
+                f"{signals[0].name}: found stretches of {shortest} samples, expected at least {FEWEST_OF_A_BLOCK}"
             )
         # Blocks of one length have their lines at the same frequencies.
-        cut = [(one, slice(part.start, part.start + shortest)) for one, part in parts]
-        return _averaged([local_polynomial(one, part, low, highest) for one, part in cut]), len(cut)
+        cut = [(record, slice(part.start, part.start + shortest)) for record, part in parts]
+        return _averaged([local_polynomial(record, part, low, highest) for record, part in cut]), len(cut)
 
     def spectra(signals: list[Signals], samples: int) -> tuple[Answer, int]:
-        answer = _averaged([welch(one, samples // 4, low, highest) for one in signals])
+        answer = _averaged([welch(record, samples // 4, low, highest) for record in signals])
         return answer, max(1, round(answer.freedom))
 
     take = spectra if method == "welch" else polynomial
-    tried = _tried(read, take, tell)
-    answers = [answer for _, answer, _ in tried]
-    biases = [_bias(one, *answers[max(i - 1, 0) : i]) for i, one in enumerate(answers)]
+    by_length = _answers_by_length(signals, take, tell)
+    answers = [answer for _, answer, _ in by_length]
+    biases = [_bias(answer, *answers[max(i - 1, 0) : i]) for i, answer in enumerate(answers)]
     at = _longest_that_keeps(answers, biases)
-    samples, answer, count = tried[at]
-    ratio, _ = take([replace(one, r=one.u, kind=COMMAND) for one in read], samples)
-    passes = len(read) if method == "welch" else count
+    samples, answer, count = by_length[at]
+    ratio, _ = take([replace(record, r=record.u, kind=COMMAND) for record in signals], samples)
+    passes = len(signals) if method == "welch" else count
     return answer, Extra(passes, count, count, _quotient_at(answer.frequency, ratio), bias=biases[at])
 
 
-def _tried(read: list[Signals], take: Method, tell: Progress) -> list[tuple[int, Answer, int]]:
-    """Samples of a block, the answer, and the number of blocks, for each length that there is."""
-    longest = max((stop - start for one in read for start, stop in one.stretches), default=0)
-    found: list[tuple[int, Answer, int]] = []
+def _answers_by_length(signals: list[Signals], take: Method, tell: Progress) -> list[tuple[int, Answer, int]]:
+    """Samples of a block, answer and number of blocks, for each block length that the records allow."""
+    longest = max((stop - start for record in signals for start, stop in record.stretches), default=0)
+    answers: list[tuple[int, Answer, int]] = []
     refused = None
     for i in range(LONGER + 1):
-        samples = round(SHORTEST_BLOCK / read[0].period) << i
+        samples = round(SHORTEST_BLOCK / signals[0].period) << i
         tell("blocks of several lengths", i / (LONGER + 1))
         try:
-            found.append((samples, *take(read, samples)))
+            answers.append((samples, *take(signals, samples)))
         except RecordError as error:  # too short for any line, or too long for blocks to average
             refused = refused or error
         if samples >= longest:
             break
-    if not found:
-        raise refused or RecordError(f"{read[0].name}: found no stretch that can be used")
-    return found
+    if not answers:
+        raise refused or RecordError(f"{signals[0].name}: found no stretch that can be used")
+    return answers
 
 
 def _bias(answer: Answer, *shorter: Answer) -> np.ndarray:
-    """The relative variance (m,) of what is no noise, by a finer interpolation and by blocks of half the length."""
-    found = np.maximum(_smooth(answer.interpolation), 0.0)
-    return np.max([found, *(REST**2 * _apart(answer, one) for one in shorter)], axis=0)
+    """Relative variance (m,) of the systematic error, from a finer interpolation and from blocks of half the length."""
+    variance = np.maximum(_smooth(answer.interpolation), 0.0)
+    return np.max([variance, *(REST**2 * _apart(answer, other) for other in shorter)], axis=0)
 
 
-def _longest_that_keeps(tried: list[Answer], biases: list[np.ndarray]) -> int:
-    """Which answer is of the longest blocks that keep most of the information, at most of the frequencies."""
+def _longest_that_keeps(answers: list[Answer], biases: list[np.ndarray]) -> int:
+    """Index of the answer with the longest blocks that keep most of the information at most frequencies."""
     from scipy.ndimage import uniform_filter1d
 
-    grid = min(tried, key=lambda one: one.frequency.size).frequency
-    told = np.empty((len(tried), grid.size))
-    for i, (one, bias) in enumerate(zip(tried, biases, strict=True)):
-        of_noise = one.noise[:, (0, 1), (0, 1)].real
-        clear = np.all(np.abs(one.z) ** 2 >= CLEAR * of_noise, axis=1)
-        by_line = np.where(clear, 1.0 / np.maximum(one.variance + bias, 1e-12), 0.0)
-        by_hertz = uniform_filter1d(by_line, AVERAGED, mode="nearest") / np.min(np.diff(one.frequency))
-        told[i] = np.interp(grid, one.frequency, by_hertz)
-    octaves = np.gradient(np.log(grid)) * (np.max(told, axis=0) > 0.0)
-    enough = told >= KEPT * np.max(told, axis=0)
+    grid = min(answers, key=lambda answer: answer.frequency.size).frequency
+    information = np.empty((len(answers), grid.size))
+    for i, (answer, bias) in enumerate(zip(answers, biases, strict=True)):
+        of_noise = answer.noise[:, (0, 1), (0, 1)].real
+        clear = np.all(np.abs(answer.z) ** 2 >= CLEAR * of_noise, axis=1)
+        by_line = np.where(clear, 1.0 / np.maximum(answer.variance + bias, 1e-12), 0.0)
+        by_hertz = uniform_filter1d(by_line, AVERAGED, mode="nearest") / np.min(np.diff(answer.frequency))
+        information[i] = np.interp(grid, answer.frequency, by_hertz)
+    octaves = np.gradient(np.log(grid)) * (np.max(information, axis=0) > 0.0)
+    enough = information >= KEPT * np.max(information, axis=0)
     keeps = enough @ octaves >= MOST * np.sum(octaves)
-    # The shortest are there for the others to be compared with.
-    return max(min(1, len(tried) - 1), *np.flatnonzero(keeps).tolist() or [int(np.argmax(enough @ octaves))])
+    # The shortest blocks serve only for comparison.
+    return max(min(1, len(answers) - 1), *np.flatnonzero(keeps).tolist() or [int(np.argmax(enough @ octaves))])
 
 
 def _apart(answer: Answer, shorter: Answer) -> np.ndarray:
-    """The relative variance (m,) by which blocks of half the length differ, less what noise makes of it.
+    """Relative variance (m,) by which blocks of half the length differ, less the contribution of noise.
 
-    Below their lowest line and above their highest it is that of the nearest line.
+    Beyond their lowest and highest line it is that of the nearest line.
     """
     f = answer.frequency
     apart = _quotient_at(f, shorter) / _quotient_at(f, answer) - 1.0
-    found = _smooth(np.abs(apart) ** 2 - answer.variance - np.interp(f, shorter.frequency, shorter.variance))
+    excess = _smooth(np.abs(apart) ** 2 - answer.variance - np.interp(f, shorter.frequency, shorter.variance))
     both = (f >= shorter.frequency[0]) & (f <= shorter.frequency[-1])
-    return np.interp(f, f[both], found[both]) if np.any(both) else found
+    return np.interp(f, f[both], excess[both]) if np.any(both) else excess
 
 
 def _smooth(variance: np.ndarray) -> np.ndarray:
@@ -451,16 +452,16 @@ def _smooth(variance: np.ndarray) -> np.ndarray:
 
 
 def _quotient_at(frequency: np.ndarray, answer: Answer) -> np.ndarray:
-    """Increment over command at ``frequency`` (m,) [Hz]; between lines the frequency twice of a mass is taken out."""
+    """Increment over command at ``frequency`` (m,) [Hz], interpolated times frequency squared, flat for a mass."""
     even = answer.z[:, 0] / answer.z[:, 1] * answer.frequency**2
     return np.interp(frequency, answer.frequency, even) / frequency**2
 
 
 def _averaged(answers: list[Answer]) -> Answer:
-    """Several answers at the same lines as one, each by its weight."""
-    if len({one.frequency.size for one in answers}) > 1 or not answers[0].frequency.size:
+    """Weighted mean of several answers at the same lines."""
+    if len({answer.frequency.size for answer in answers}) > 1 or not answers[0].frequency.size:
         raise RecordError("found no lines between the lowest and the highest frequency, expected a wider band")
-    weights = np.array([one.weight for one in answers])
+    weights = np.array([answer.weight for answer in answers])
     excited = weights.sum(axis=0) > 0.0
     if np.count_nonzero(excited) < 4:
         raise RecordError(
@@ -469,19 +470,13 @@ def _averaged(answers: list[Answer]) -> Answer:
         )
     weights = weights[:, excited]
     share = weights / weights.sum(axis=0)
-    z = np.sum(share[..., None] * np.array([one.z[excited] for one in answers]), axis=0)
-    noise = np.sum(share[..., None, None] ** 2 * np.array([one.noise[excited] for one in answers]), axis=0)
-    freedom = sum(one.freedom for one in answers)
-    # What an interpolation misses it misses in every block alike: amplitudes are averaged, of noise the powers.
-    finer = [(one.missed[excited], one.missed_noise[excited]) for one in answers if one.missed is not None]  # type: ignore[index]
-    missed = np.sum([s[:, None] * one for s, (one, _) in zip(share, finer, strict=True)], axis=0) if finer else None
-    of_noise = [s[:, None, None] ** 2 * one for s, (_, one) in zip(share, finer, strict=True)] if finer else None
-    return Answer(
-        answers[0].frequency[excited],
-        z,
-        noise,
-        freedom,
-        weights.sum(axis=0),
-        missed,
-        None if of_noise is None else np.sum(of_noise, axis=0),
-    )
+    z = np.sum(share[..., None] * np.array([answer.z[excited] for answer in answers]), axis=0)
+    noise = np.sum(share[..., None, None] ** 2 * np.array([answer.noise[excited] for answer in answers]), axis=0)
+    freedom = sum(answer.freedom for answer in answers)
+    # An interpolation error is the same in every block: its amplitudes are averaged, of noise the powers.
+    finer = [(answer.missed[excited], answer.missed_noise[excited]) for answer in answers if answer.missed is not None]  # type: ignore[index]
+    pairs = list(zip(share, finer, strict=True)) if finer else []
+    missed = np.sum([s[:, None] * difference for s, (difference, _) in pairs], axis=0) if finer else None
+    of_noise = np.sum([s[:, None, None] ** 2 * covariance for s, (_, covariance) in pairs], axis=0) if finer else None
+    frequency = answers[0].frequency[excited]
+    return Answer(frequency, z, noise, freedom, weights.sum(axis=0), missed, of_noise)

@@ -2,16 +2,16 @@
 
 Over one block the loop answers the instrument with Z(k) = G(k) R(k) + T(k), Z the position increment and the command,
 G and the transient T smooth in frequency. Around each line parabolas for both are fitted to 2n + 1 lines of Z at
-once, which takes the leakage away with T (R. Pintelon and J. Schoukens, System Identification: A Frequency Domain
+once, which removes the leakage with T (R. Pintelon and J. Schoukens, System Identification: A Frequency Domain
 Approach, 2nd ed., chapter 7). Many short blocks under a window cost less: the averaged cross spectra of P. D. Welch
-(IEEE Trans. Audio Electroacoust. 15, 1967), with the instrument in the place of the input. A window w cuts the answer
-off otherwise than the instrument, by terms that are the same on every pass and stand in no scatter between blocks
-(J. Antoni and J. Schoukens, Automatica 43, 2007). Where the response is smooth over the lines k they are those of
-Taylor's series in time,
+(IEEE Trans. Audio Electroacoust. 15, 1967), with the instrument as the input. A window w truncates the answer and the
+instrument differently. That error is the same on every pass, so the scatter between blocks does not show it (J. Antoni
+and J. Schoukens, Automatica 43, 2007). Where the response is smooth over the lines k, it is a Taylor series in time,
 
     Z_w = G R_w + j/2 dG/dk R_sin - 1/4 d^2G/dk^2 R_cos + ...,
 
-for a Hann window, with R_sin and R_cos the instrument under one turn of a sine and of a cosine: they are taken off.
+for a Hann window, with R_sin and R_cos the instrument times one period of a sine and of a cosine. The two terms are
+subtracted.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from emps_design.frequency_response.signals import Signals
 NEAR = 10  # lines on either side
 ORDER = 2
 FINER = 4  # the order of the fit that shows what parabolas miss
-CLEAR = 10.0  # times the noise that the answers of command and position have to be, or their quotient is the noise's
+CLEAR = 10.0  # power of an answer over its noise below which the quotient of position and command is noise
 ROUGH = 0.2  # share of the instrument's power near a line that no parabola has, or it excites nothing there
 UNCUT = 0.05  # share of the instrument's power at a line that the windows leave, or it excites nothing there
 AT_ONCE = 2048  # lines fitted together
@@ -39,11 +39,12 @@ LEAST_LEFT = 0.1  # share of a line's power in other blocks than one; with less,
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What instrument of amplitude 1 does at ``frequency`` (m,) [Hz]: ``z`` (m, 2), its ``noise`` (m, 2, 2) covariance.
+    """Position increment and command ``z`` (m, 2) for an instrument of amplitude 1 at ``frequency`` (m,) [Hz].
 
-    ``freedom`` is that of the covariance, ``weight`` (m,) what to average several of them by: the instrument's power,
-    or the inverse of what noise becomes in ``z``; 0 where the instrument excites nothing. ``missed`` (m, 2) is what a
-    finer interpolation between the lines adds to ``z``, and ``missed_noise`` (m, 2, 2) the covariance of that.
+    ``noise`` (m, 2, 2) is the covariance of ``z``, ``freedom`` its degrees of freedom; ``weight`` (m,) is the weight in
+    an average of several answers: the instrument's power, or the inverse of the noise gain; 0 where the instrument
+    excites nothing. ``missed`` (m, 2) is what a finer interpolation between the lines adds to ``z``, and
+    ``missed_noise`` (m, 2, 2) its covariance.
     """
 
     frequency: np.ndarray
@@ -56,14 +57,14 @@ class Answer:
 
     @property
     def variance(self) -> np.ndarray:
-        """Of the quotient of position and command, relative, to first order (m,)."""
+        """Relative variance (m,) of the quotient of position and command, to first order."""
         return self._of_quotient(self.noise)
 
     @property
     def interpolation(self) -> np.ndarray:
-        """The square (m,) of the relative error of the quotient by what the interpolation missed.
+        """Squared relative error (m,) of the quotient by interpolation between the lines.
 
-        What noise makes of it is taken off: it is below 0 where that happens to be more.
+        The contribution of noise is subtracted, so it may be negative.
         """
         if self.missed is None or self.missed_noise is None:
             return np.zeros(self.frequency.size)
@@ -72,16 +73,16 @@ class Answer:
 
     def _of_quotient(self, covariance: np.ndarray) -> np.ndarray:
         z_q, z_u = self.z[:, 0], self.z[:, 1]
-        found = (
+        variance = (
             covariance[:, 0, 0].real / np.abs(z_q) ** 2
             + covariance[:, 1, 1].real / np.abs(z_u) ** 2
             - 2.0 * (covariance[:, 0, 1] / (z_q * z_u.conj())).real
         )
-        return np.maximum(found, 0.0)
+        return np.maximum(variance, 0.0)
 
 
 def blocks(signals: Signals, samples: int) -> Iterator[slice]:
-    """Blocks of at most ``samples`` that the stretches of ``signals`` divide into, as equal as they come."""
+    """Blocks of at most ``samples``, equal within each stretch of ``signals``."""
     for start, stop in signals.stretches:
         count = max(1, -(-(stop - start) // samples))
         length = (stop - start) // count
@@ -110,40 +111,40 @@ def local_polynomial(signals: Signals, part: slice, lowest: float, highest: floa
     for first in range(0, centres.size, AT_ONCE):
         own = slice(first, first + AT_ONCE)
         at = centres[own, None] + offsets
-        theta, left, grown = _fitted(r[at], both[at], coarse)
+        theta, residuals, growth = _fit_lines(r[at], both[at], coarse)
         z[own] = theta
-        # An instrument that is as smooth as a transient there, such as the leakage of a sweep, cannot be told from one.
+        # An instrument as smooth as a transient, such as the leakage of a sweep, cannot be separated from one.
         rough = np.sum(np.abs(r[at] @ away) ** 2, axis=1) > ROUGH * np.sum(np.abs(r[at]) ** 2, axis=1)
-        weight[own] = np.where(rough, 1.0 / grown, 0.0)
-        of_lines = np.einsum("kli,klj->kij", left, left.conj()) / freedom
-        noise[own] = of_lines * grown[:, None, None]
-        finer, left, grown_finer = _fitted(r[at], both[at], powers)
+        weight[own] = np.where(rough, 1.0 / growth, 0.0)
+        of_lines = np.einsum("kli,klj->kij", residuals, residuals.conj()) / freedom
+        noise[own] = of_lines * growth[:, None, None]
+        finer, residuals, finer_growth = _fit_lines(r[at], both[at], powers)
         missed[own] = finer - theta
         # The difference to a fit that has more columns is uncorrelated with the fit itself.
-        of_lines = np.einsum("kli,klj->kij", left, left.conj()) / (offsets.size - 2 * (FINER + 1))
-        missed_noise[own] = of_lines * np.maximum(grown_finer - grown, 0.0)[:, None, None]
+        of_lines = np.einsum("kli,klj->kij", residuals, residuals.conj()) / (offsets.size - 2 * (FINER + 1))
+        missed_noise[own] = of_lines * np.maximum(finer_growth - growth, 0.0)[:, None, None]
     return Answer(centres * step, z, noise, freedom, weight, missed, missed_noise)
 
 
-def _fitted(r: np.ndarray, both: np.ndarray, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The answers (k, 2) at the middle of lines (k, l) of ``both`` (k, l, 2) to ``r``, what is left, and by how much
-    the variance of noise grows in the answers (k,).
+def _fit_lines(r: np.ndarray, both: np.ndarray, powers: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fit plant and transient, each a polynomial with columns ``powers`` (l, p), to the lines ``both`` (k, l, 2).
 
-    Plant and transient have the columns ``powers`` (l, p) both.
+    Returns the plant at the middle line (k, 2), the residuals (k, l, 2), and the noise gain (k,), variance of the plant
+    over that of one line.
     """
     K = np.concatenate([r[..., None] * powers, np.broadcast_to(powers, (*r.shape, powers.shape[1]))], axis=-1)
     scale = np.sqrt(np.sum(np.abs(K) ** 2, axis=1, keepdims=True))
     fit = np.linalg.pinv(K / scale, rcond=1e-8)
     theta = fit @ both
-    left = both - (K / scale) @ theta
-    grown = np.sum(np.abs(fit[:, 0]) ** 2, axis=-1) / scale[:, 0, 0] ** 2
-    return theta[:, 0] / scale[:, 0, 0, None], left, grown
+    residuals = both - (K / scale) @ theta
+    growth = np.sum(np.abs(fit[:, 0]) ** 2, axis=-1) / scale[:, 0, 0] ** 2
+    return theta[:, 0] / scale[:, 0, 0, None], residuals, growth
 
 
 def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answer:
     """The answer from the averaged spectra of all blocks of ``samples``, which overlap by half, under a Hann window.
 
-    Raises :class:`RecordError` for fewer than :data:`FEWEST_BLOCKS`: how they differ tells the noise.
+    Raises :class:`RecordError` for fewer than :data:`FEWEST_BLOCKS`, since the noise follows from their scatter.
     """
     from scipy.fft import rfft
 
@@ -160,7 +161,7 @@ def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answ
     def spectra(begin: int) -> tuple[np.ndarray, np.ndarray]:
         part = slice(begin, begin + samples)
         r, dq, u = (rfft(_detrended(values[part])) for values in (signals.r, signals.dq, signals.u))
-        return _windowed(r, lines), np.stack([_windowed(one, lines)[0] for one in (dq, u)], axis=-1)
+        return _windowed(r, lines), np.stack([_windowed(channel, lines)[0] for channel in (dq, u)], axis=-1)
 
     tiny = np.finfo(float).tiny
     cross, power, squares = np.zeros((lines.size, 2), complex), np.full(lines.size, tiny), np.zeros(lines.size)
@@ -172,8 +173,8 @@ def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answ
         power += np.abs(r[0]) ** 2
         squares += np.abs(r[0]) ** 4
         whole += np.abs(2.0 * r[0] + r[2]) ** 2
-    # One block alone, such as at the ends of a sweep, says nothing of what the window cut off. Where it cut nearly all
-    # of the instrument off, the rest tells of its ends alone.
+    # A single block, such as at the ends of a sweep, does not show the truncation error. Where the window removed
+    # nearly all of the instrument, what remains describes its ends alone.
     several = (power**2 >= FEWEST_ACTING * squares) & (power > UNCUT * whole)
     z = cross / power[:, None]
     terms, cut = np.zeros((2, 2, *z.shape), complex)
@@ -185,20 +186,20 @@ def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answ
     alike, weighed = np.zeros((2, power.size, 2, 2), complex)
     for begin in begins:
         r, both = spectra(begin)
-        left = both - z * r[0][:, None] - np.einsum("il,ilj->lj", r[1:], terms)
-        products = left[:, :, None] * left.conj()[:, None, :]
+        residuals = both - z * r[0][:, None] - np.einsum("il,ilj->lj", r[1:], terms)
+        products = residuals[:, :, None] * residuals.conj()[:, None, :]
         share = np.abs(r[0]) ** 2 / power
         alike += products
         weighed += products * (share / np.maximum(1.0 - share, LEAST_LEFT))[:, None, None]
     # Hann windows that overlap by half: 11/18 of the blocks are independent (Welch's formula, for many of them).
     freedom = 11.0 / 18.0 * count - 1.0
-    # What is left of the blocks is noise that all have, or, as the leakage of a sweep, an error of those that have the
-    # line's power (HC2 of J. G. MacKinnon and H. White, J. Econometrics 29, 1985): the larger counts.
+    # The residuals are noise of all blocks alike, or, as the leakage of a sweep, an error of the blocks with the line's
+    # power (HC2 of J. G. MacKinnon and H. White, J. Econometrics 29, 1985): the larger counts.
     by_block = [noise / power[:, None, None] for noise in (alike / freedom, weighed * 18.0 / 11.0)]
     answers = [Answer(lines * step, z, noise, freedom, power) for noise in by_block]
     larger = answers[1].variance > answers[0].variance
     noise = np.where(larger[:, None, None], by_block[1], by_block[0])
-    # The curvature has 3/8 of the variance of a line, and a quarter of it counts.
+    # The second difference has 3/8 of the variance of a line and enters with the factor 1/4.
     missed_noise = noise * (0.375 / 16.0 * np.abs(moments[1] / power) ** 2)[:, None, None]
     weight = np.where(several, power, 0.0)
     return Answer(lines * step, z, noise, freedom, weight, -cut[1], missed_noise)

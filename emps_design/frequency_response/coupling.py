@@ -1,20 +1,15 @@
-"""One, two or three masses behind one another, fitted to a measured response, with intervals.
+"""Chains of one to three masses fitted to a measured response, and the response beside the model of its axis.
 
-Without damping Z_1 of :mod:`.mass_chain` is M s times a product of (1 + s^2/p^2)/(1 + s^2/z^2), antiresonances z and
-resonances p in turn, and a continued fraction leads from these back to masses and springs (W. Cauer, 1926): they are
-where a fit starts, at what :mod:`.resonances` finds and at some places besides; the delay starts at what the phase
-turns by. The logarithm of model over measurement is weighed by the deviations of the data. Another mass is taken where
-the information criterion of Schwarz (1978) asks for it clearly, its resonance lies among the lines, and the deviations
-leave no doubt about its spring and its mass. The deviations are raised where the residuals are larger than those of
-the data explain.
-
-Masses behind one another, springs and dampers between them: their response, what they are together, what is told.
-
-The force acts on the first mass, whose velocity is measured; springs k and dampers c lead to the next ones:
+The force acts on the first mass, whose velocity is measured; springs k and dampers c connect it to the next ones:
 
     G(s) = e^{-s delay} / (F_v + Z_1),    Z_i = m_i s + 1 / (1/(k_i/s + c_i) + 1/Z_{i+1}),    Z_n = m_n s.
 
-A measured response beside the model of its axis, and beside the masses that fit it; where they differ.
+Without damping Z_1 is M s times a product of (1 + s^2/p^2)/(1 + s^2/z^2), antiresonances z and resonances p in turn,
+and a continued fraction gives masses and springs from these (W. Cauer, 1926). A fit starts from the resonances of the
+response and from some further pairs; the delay starts at the one that turns the phase. The residual is the logarithm
+of model over measurement, weighted by the deviations of the data. A further mass is accepted where the information
+criterion of Schwarz (1978) falls clearly, its resonance lies among the lines, and its mass and spring are certain.
+Standard deviations are raised where the residuals exceed the deviations of the data.
 """
 
 from __future__ import annotations
@@ -36,25 +31,25 @@ from emps_design.errors import InputError
 from emps_design.frequency_response.response import BAND, FrequencyResponse, resonances, turning_delay
 from emps_design.stretches import stretches
 
-MISSED = 5.0  # deviations of misfit from which on a chain is none of the response
+MISSED = 5.0  # deviations of misfit above which a chain does not describe the response
 VAGUE = 10.0  # relative deviation from which on a parameter is not determined
-CERTAINLY = 3.0  # deviations below 0 from which on a friction or a delay cannot be
+CERTAINLY = 3.0  # deviations below 0 beyond which a friction or a delay is impossible
 
 MOST = 3  # masses
-SYSTEMATIC = 1e-3  # relative, what a model may differ from a response by
-CLEARLY = 10.0  # by which the criterion has to fall for one more mass
-CERTAIN = 0.25  # relative deviation of the spring and the mass from which on they are not known
+SYSTEMATIC = 1e-3  # relative difference of model and response that is always allowed
+CLEARLY = 10.0  # fall of the criterion that one more mass requires
+CERTAIN = 0.25  # relative deviation above which a spring or a mass is not determined
 INSIDE = 0.95  # share of the highest line below which a resonance has to lie
-UNKNOWN = 100.0  # deviation of the logarithm of what has no part in the response
+UNKNOWN = 100.0  # deviation of the logarithm of a parameter without influence on the response
 STARTS = 6  # places besides the resonances found
 MANY = 400  # lines that a fit takes, evenly among more
-NEAR = 4  # lines on either side, whose deviations tell what a line's own one should be
-ALIKE = 2.0  # factor within which they do
+NEAR = 4  # lines on either side whose median deviation replaces a line's own
+ALIKE = 2.0  # largest factor between the two
 FIRST_STEPS, MOST_STEPS = 30, 200  # of a fit: from every start, and of the best among them
 SMALL = np.finfo(float).eps ** 0.5  # step of a parameter for its slope
 APART = 1.15  # of a resonance to its antiresonance, where a fit starts without knowing
 
-ROOM = 0.05  # relative difference that is no matter, however certain
+ROOM = 0.05  # relative difference that does not matter, however certain
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +81,7 @@ class MassChain:
 
     @property
     def label(self) -> str:
-        """How many masses."""
+        """The number of masses in words."""
         return ("one mass", "two masses", "three masses")[self.masses.size - 1]
 
     @property
@@ -98,44 +93,50 @@ class MassChain:
         return linear_coupling(values["frequency"][0], values["damping"][0], values["share"][0])
 
     def on(self, axis: Axis) -> Axis:
-        """``axis`` with mass, viscous friction and coupling as the response has them; of three masses not the coupling.
+        """``axis`` with the mass and viscous friction of the chain, and of two masses the coupling.
 
-        Its drive, with whatever delay and back-EMF it has, stays as it is: what that brakes is part of the response's.
+        The drive stays, with its delay and back-EMF; its electrical braking is subtracted from the viscous friction.
         """
-        values, effect = self.parameters, self.effect
-        kept = [one for one in axis.effects if effect is None or one.kind != effect["kind"]]
+        values, coupling = self.parameters, self.effect
+        kept = [effect for effect in axis.effects if coupling is None or effect.kind != coupling["kind"]]
         mechanics = {"mass": values["mass"][0], "viscous": max(values["viscous"][0] - axis.drive.braking, 0.0)}
-        return axis.replace(mechanics=mechanics, effects=[*kept, *([effect] if effect else [])])
+        return axis.replace(mechanics=mechanics, effects=[*kept, *([coupling] if coupling else [])])
 
     @property
     def parameters(self) -> dict[str, tuple[float, float, str]]:
-        """Name, value, standard deviation and unit: of two masses those of the effect of a coupling too."""
+        """Value, standard deviation and unit by name; of two masses also the parameters of the coupling effect."""
         n = self.masses.size
-        found = {
+        parameters = {
             "mass": (*self._of(lambda theta: float(np.sum(np.exp(theta[:n])))), "kg"),
             "viscous": (*self._of(lambda theta: theta[-2]), "N/(m/s)"),
             "delay": (*self._of(lambda theta: theta[-1]), "s"),
         }
         if n == 2:
             for i, name in enumerate(("frequency", "damping", "share")):
-                found[name] = (*self._of(lambda theta, i=i: coupling_of(theta)[i]), ("Hz", "", "")[i])
+                parameters[name] = (*self._of(lambda theta, i=i: coupling_of(theta)[i]), ("Hz", "", "")[i])
         if n > 2:
             units = ("kg", "N/m", "N/(m/s)")
             for start, name, unit in zip((0, n, 2 * n - 1), ("mass", "spring", "damper"), units, strict=True):
                 for i in range(n if name == "mass" else n - 1):
-                    found[f"{name}_{i + 1}"] = (*self._of(lambda theta, k=start + i: float(np.exp(theta[k]))), unit)
+                    parameters[f"{name}_{i + 1}"] = (
+                        *self._of(lambda theta, k=start + i: float(np.exp(theta[k]))),
+                        unit,
+                    )
             for i in range(n - 1):
-                found[f"resonance_{i + 1}"] = (*self._of(lambda theta, i=i: float(natural(theta, n, 0)[i])), "Hz")
-                found[f"antiresonance_{i + 1}"] = (*self._of(lambda theta, i=i: float(natural(theta, n, 1)[i])), "Hz")
-        return found
+                parameters[f"resonance_{i + 1}"] = (*self._of(lambda theta, i=i: float(natural(theta, n, 0)[i])), "Hz")
+                parameters[f"antiresonance_{i + 1}"] = (
+                    *self._of(lambda theta, i=i: float(natural(theta, n, 1)[i])),
+                    "Hz",
+                )
+        return parameters
 
     def determines(self, name: str) -> bool:
-        """Whether the response says anything of a parameter: of what is positive, its size."""
+        """Whether the response determines a parameter: a positive one to within ten times its size."""
         value, std, _ = self.parameters[name]
         return bool(np.isfinite(std)) and (name in ("viscous", "delay") or std < VAGUE * value)
 
     def _of(self, quantity: Callable[..., float]) -> tuple[float, float]:
-        """A function of the parameters and its deviation, to first order."""
+        """A function of ``theta`` and its standard deviation, to first order."""
         steps = np.sqrt(np.diag(self.covariance)) * 1e-3 + 1e-300
         units = np.eye(steps.size)
         slope = np.array(
@@ -150,7 +151,7 @@ class MassChain:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What speaks against the chain: a response that it misses, friction or a delay that cannot be."""
+        """Sentences where the chain misses the response, or where its friction or delay is negative."""
         words = []
         if self.misfit > MISSED:
             words.append(
@@ -206,7 +207,8 @@ def coupling_of(theta: np.ndarray) -> tuple[float, float, float]:
 
 
 def natural(theta: np.ndarray, n: int, held: int) -> np.ndarray:
-    """Natural frequencies [Hz] of the free chain without its rest, or with the first mass ``held``: antiresonances."""
+    """Natural frequencies [Hz] of the free chain, ``held`` 0, without the rigid mode; of the chain with its first mass
+    ``held``, 1, which are the antiresonances."""
     masses, springs, _ = split(theta, n)
     stiffness = np.zeros((n, n))
     for i, spring in enumerate(springs):
@@ -217,35 +219,35 @@ def natural(theta: np.ndarray, n: int, held: int) -> np.ndarray:
 
 
 def fit_chain(response: FrequencyResponse, most: int = MOST) -> MassChain:
-    """Return the chain of one up to ``most`` masses that ``response`` asks for.
+    """Return the chain of one up to ``most`` masses that describes ``response`` best.
 
     Raises :class:`InputError` for fewer lines than parameters.
 
     >>> f = np.arange(3.0, 120.0)
     >>> two = MassChain(np.array([60.0, 40.0]), np.array([4e6]), np.array([500.0]), 200.0, 0.0, np.eye(6), 0.0)
-    >>> found = fit_chain(FrequencyResponse.of(f, two.response(2.0 * np.pi * f), np.full(f.size, 0.01)))
-    >>> {name: round(value, 3) for name, (value, _, _) in found.parameters.items() if name != "delay"}
+    >>> chain = fit_chain(FrequencyResponse.of(f, two.response(2.0 * np.pi * f), np.full(f.size, 0.01)))
+    >>> {name: round(value, 3) for name, (value, _, _) in chain.parameters.items() if name != "delay"}
     {'mass': 100.0, 'viscous': 200.0, 'frequency': 64.975, 'damping': 0.026, 'share': 0.4}
     """
     response = response.every(-(-len(response) // MANY))
     mass = np.array([1.0 / np.median(response.w * response.magnitude)])
-    tried = _fitted(response, [(mass, (), ())], turning_delay(response))
-    if tried is None:
+    candidate = _best_fit(response, [(mass, (), ())], turning_delay(response))
+    if candidate is None:
         raise InputError(f"{response.name}: found {len(response)} lines, expected more than a mass has parameters")
-    best, criterion = tried, [_criterion(tried, len(response))]
+    best, criterion = candidate, [_criterion(candidate, len(response))]
     lowest = criterion[0]
     for _ in range(1, most):  # a second mass may show only together with a third: each number is tried
-        tried = _fitted(response, _starts(tried, response), tried.delay)
-        if tried is None:
+        candidate = _best_fit(response, _starts(candidate, response), candidate.delay)
+        if candidate is None:
             break
-        criterion.append(_criterion(tried, len(response)))
-        if criterion[-1] < lowest - CLEARLY and _certain(tried, response):
-            best, lowest = tried, criterion[-1]
+        criterion.append(_criterion(candidate, len(response)))
+        if criterion[-1] < lowest - CLEARLY and _certain(candidate, response):
+            best, lowest = candidate, criterion[-1]
     return replace(best, criterion=tuple(criterion))
 
 
 def _starts(chain: MassChain, response: FrequencyResponse) -> list[tuple[np.ndarray, Any, Any]]:
-    """Chains of one mass more: with the pairs of ``chain``, and one more where the response may have it."""
+    """Start values of one mass more: the pairs of ``chain`` and one further pair, from the response or a grid."""
     n = chain.masses.size
     own = list(zip(natural(chain.theta, n, 1), natural(chain.theta, n, 0), strict=True)) if n > 1 else []
     roots = resonances(response)
@@ -257,7 +259,7 @@ def _starts(chain: MassChain, response: FrequencyResponse) -> list[tuple[np.ndar
     places = np.geomspace(response.frequency[0], response.frequency[-1], STARTS + 2)[1:-1]
     pairs += [(float(f), APART * float(f)) for f in places]
     several = [[*own, pair] for pair in pairs]
-    several.append(pairs[: len(pairs) - STARTS])  # all that were found, where they are as many
+    several.append(pairs[: len(pairs) - STARTS])  # all pairs of the response, if there are n of them
     return [
         _cauer(float(np.sum(chain.masses)), in_turn)
         for in_turn in map(sorted, several)
@@ -285,8 +287,8 @@ def _cauer(total: float, pairs: Sequence[tuple[float, float]]) -> tuple[np.ndarr
     return np.array(masses), np.array(springs), dampers
 
 
-def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]], delay: float) -> MassChain | None:
-    """The best fit from several starts, ``delay`` [s] late; None where no start is one, or the lines are too few."""
+def _best_fit(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]], delay: float) -> MassChain | None:
+    """The best fit from several starts with ``delay`` [s]; None without a valid start, or with too few lines."""
     from scipy.optimize import least_squares
 
     s = 1j * response.w
@@ -308,47 +310,47 @@ def _fitted(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]],
             return (residual(x + np.diag(step)) - residual(x)).T / step
 
         start = np.concatenate([np.log(values), [0.0, delay / scale[-1]]])
-        found = least_squares(residual, start, slopes, x_scale="jac", max_nfev=FIRST_STEPS)
-        if best is None or found.cost < best[0].cost:
-            best = found, residual, slopes, scale, n
+        solution = least_squares(residual, start, slopes, x_scale="jac", max_nfev=FIRST_STEPS)
+        if best is None or solution.cost < best[0].cost:
+            best = solution, residual, slopes, scale, n
     if best is None:
         return None
-    found, residual, slopes, scale, n = best
-    if found.status == 0:  # not at an end yet
-        found = least_squares(residual, found.x, slopes, x_scale="jac", max_nfev=MOST_STEPS)
-    theta, count = found.x * scale, 2 * len(response)
-    misfit = float(np.sqrt(2.0 * found.cost / (count - theta.size)))
-    jacobian = found.jac / scale
+    solution, residual, slopes, scale, n = best
+    if solution.status == 0:  # the steps ran out
+        solution = least_squares(residual, solution.x, slopes, x_scale="jac", max_nfev=MOST_STEPS)
+    theta, count = solution.x * scale, 2 * len(response)
+    misfit = float(np.sqrt(2.0 * solution.cost / (count - theta.size)))
+    jacobian = solution.jac / scale
     size = np.sqrt(np.sum(jacobian**2, axis=0))
-    seen = size > 1e-9 * weight.min()  # a damper that went to nothing is not
-    inverse = np.linalg.pinv(jacobian[:, seen] / size[seen]) / size[seen, None]
-    covariance = np.diag(np.where(seen, 0.0, UNKNOWN**2))
-    covariance[np.ix_(seen, seen)] = max(1.0, misfit) ** 2 * (inverse @ inverse.T)
+    identifiable = size > 1e-9 * weight.min()  # a damper that vanished is not
+    inverse = np.linalg.pinv(jacobian[:, identifiable] / size[identifiable]) / size[identifiable, None]
+    covariance = np.diag(np.where(identifiable, 0.0, UNKNOWN**2))
+    covariance[np.ix_(identifiable, identifiable)] = max(1.0, misfit) ** 2 * (inverse @ inverse.T)
     hardly = np.diag(covariance) > UNKNOWN**2
-    hardly[-2:] = False  # which are no logarithms
+    hardly[-2:] = False  # friction and delay are no logarithms
     covariance[hardly] = covariance[:, hardly] = 0.0
     covariance[hardly, hardly] = UNKNOWN**2
     return MassChain(*split(theta, n), float(theta[-2]), float(theta[-1]), covariance, misfit)
 
 
 def _expected(std: np.ndarray) -> np.ndarray:
-    """Deviations (n,) that know less of each line's own noise: the median of those beside it, where they are alike.
+    """Standard deviations (n,) smoothed: the median of the neighbours, within a factor of two of the line's own.
 
-    A line that is too large by chance has too small a deviation relative to it, and with that weight it would make the
-    masses too small.
+    The relative deviation of a line that is too large by chance is too small; with that weight the masses would come
+    out too small.
     """
     near = np.clip(np.arange(std.size)[:, None] + np.arange(-NEAR, NEAR + 1), 0, std.size - 1)
     return np.clip(np.median(std[near], axis=1), std / ALIKE, std * ALIKE)
 
 
 def _criterion(chain: MassChain, lines: int) -> float:
-    """The information criterion of Schwarz, the scale of the deviations unknown."""
+    """The information criterion of Schwarz with the scale of the deviations unknown."""
     count, parameters = 2 * lines, chain.theta.size
     return count * math.log(max(chain.misfit, 1e-3) ** 2 * (count - parameters) / count) + parameters * math.log(count)
 
 
 def _certain(chain: MassChain, response: FrequencyResponse) -> bool:
-    """Whether all masses and springs are known, and all resonances lie among the lines."""
+    """Whether all masses and springs are determined and all resonances lie among the lines."""
     n = chain.masses.size
     known = np.sqrt(np.diag(chain.covariance))[: 2 * n - 1]
     places = natural(chain.theta, n, 0)
@@ -359,8 +361,8 @@ def _certain(chain: MassChain, response: FrequencyResponse) -> bool:
 def axis_response(axis: Axis, frequency: np.ndarray, velocity: float = 0.1) -> np.ndarray:
     """Return force to velocity (n,) of ``axis`` at ``frequency`` (n,) [Hz].
 
-    Its effects are linearised at ``velocity`` [m/s]. A lag of the current loop is in it, as in what is measured; hold
-    and computation delay are not.
+    Its effects are linearised at ``velocity`` [m/s]. A lag of the current loop is included, as in a measured response;
+    hold and computation delay are not.
 
     >>> from emps_design.machines import machine
     >>> round(float(abs(axis_response(machine("emps2019"), np.array([50.0]))[0])) * 100 * np.pi, 6)  # 1/mass
@@ -374,8 +376,11 @@ def axis_response(axis: Axis, frequency: np.ndarray, velocity: float = 0.1) -> n
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of ``lines`` lines ``inside`` are within the 95 % circle of the data; the largest difference ``largest``
-    (relative) at ``frequency`` [Hz]; ``bands`` [Hz] where it is more than the data's deviations and 5 %."""
+    """Agreement of a model with a response: of ``lines`` lines ``inside`` lie within the 95 % circle of the data.
+
+    ``largest`` is the largest relative difference, at ``frequency`` [Hz]; in ``bands`` [Hz] the difference exceeds the
+    deviations of the data and 5 %.
+    """
 
     lines: int
     inside: int
@@ -403,7 +408,7 @@ class Agreement:
 
 
 def agreement(response: FrequencyResponse, model: np.ndarray) -> Agreement:
-    """Compare ``response`` with what a ``model`` (n,) gives at its lines.
+    """Compare ``response`` with the ``model`` (n,) at its lines.
 
     >>> f = np.arange(1.0, 9.0)
     >>> measured = FrequencyResponse.of(f, 1.0 / (1j * f), np.full(8, 0.01))
@@ -413,7 +418,7 @@ def agreement(response: FrequencyResponse, model: np.ndarray) -> Agreement:
     apart = np.abs(model / response.response - 1.0)
     circle = np.maximum(BAND * response.std, ROOM)
     beyond = apart > circle
-    # One line in twenty is by chance; two beside one another, or one far outside, are not.
+    # One line in twenty is outside by chance; two neighbours, or one far outside, are not.
     beyond &= (apart > 2.0 * circle) | np.append(beyond[1:], False) | np.append(False, beyond[:-1])
     lines = response.frequency
     bands = [(float(lines[start]), float(lines[stop - 1])) for start, stop in stretches(beyond)]
@@ -425,14 +430,14 @@ def agreement(response: FrequencyResponse, model: np.ndarray) -> Agreement:
 
 @dataclass(frozen=True, eq=False)
 class ResponseComparison:
-    """A measured ``response`` and the ``axis`` that it is of."""
+    """A measured ``response`` beside the model of its ``axis`` and beside the chain of masses that fits it."""
 
     response: FrequencyResponse
     axis: Axis
 
     @cached_property
     def model(self) -> np.ndarray:
-        """What the axis's model gives at the lines (n,)."""
+        """The response of the axis's model at the lines (n,)."""
         return axis_response(self.axis, self.response.frequency)
 
     @cached_property
@@ -442,7 +447,7 @@ class ResponseComparison:
 
     @cached_property
     def chain(self) -> MassChain:
-        """Masses, springs and dampers that the response asks for."""
+        """The masses, springs and dampers that fit the response."""
         return fit_chain(self.response)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,21 +1,19 @@
-"""From records to a frequency response, in closed loop: joint input and output, so that feedback does not bias.
+"""Frequency response from closed-loop records by the joint input-output method, which feedback does not bias.
 
 Noise reaches the command through the controller, so the ratio of the spectra of velocity and command tends to minus the
-inverse of the controller wherever noise is what moves the loop. The instrument r is free of noise: the answers of
-both, Z = [position increment, command], to r are averaged, and G is the quotient of the averages. With the covariance C
-of the averages its relative variance is, to first order,
+inverse of the controller wherever noise dominates the excitation. The instrument r is free of noise: the answers
+Z = [position increment, command] to r are averaged, and G is the quotient of the averages. With the covariance C of the
+averages its relative variance is, to first order,
 
     std^2 = C_qq/|z_q|^2 + C_uu/|z_u|^2 - 2 Re(C_qu / (z_q z_u*)).
 
 Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 2.
 
-How much neighbouring lines of a response differ: what noise does not explain of it is an error all the same.
-
-A response is smooth in frequency, so four lines around each predict it: the cubic through 1/G, which is a straight line
-for a mass with viscous friction, or through j w G, which is smooth at an antiresonance; whichever is closer. What
-noise of the variances would make of the difference is known. Where the usual difference of many lines is clearly more,
-as where dry friction answers with every line at each other one, the excess is taken for noise in the motion: it counts
-for more on the lines that move least.
+Excess variance. A response is smooth in frequency, so the four lines around each predict it: the cubic through 1/G,
+which is a straight line for a mass with viscous friction, or through j w G, which is smooth at an antiresonance;
+whichever is closer. The variances predict the difference. Where the median difference of many lines is clearly larger,
+as where dry friction spreads the power of each line over the others, the excess is treated as noise in the motion,
+which weighs most on the lines that move least.
 """
 
 from __future__ import annotations
@@ -49,31 +47,31 @@ from emps_design.records.clock import same_period
 
 AROUND = 20  # lines on either side, whose usual difference counts
 CLEARLY = 2.0  # times the variance that noise explains
-FEWEST = 12  # lines that tell what is usual
+FEWEST = 12  # lines for a median
 NEIGHBOURS = np.array([-2, -1, 1, 2])
 
 METHODS = ("periodic", "stepped", "local-polynomial", "welch")
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as large as the response
-WORST = 0.5  # relative deviation beyond which a line says nothing
+WORST = 0.5  # relative deviation beyond which a line is left out
 POOLED = 9  # neighbouring lines whose noise is averaged
-REPEATED = 1.5  # times what would by chance, the encoder's steps that repeat that are worth a word
-APART = {"periodic": 1, "local-polynomial": 4, "welch": 2}  # lines whose noise is not the same
-RESTING = 0.01  # share of the time from which on a rest is worth a word
+REPEATED = 1.5  # power of repeated encoder steps, over that by chance, above which a warning says so
+APART = {"periodic": 1, "local-polynomial": 4, "welch": 2}  # distance of lines with independent noise
+RESTING = 0.01  # share of the time at rest above which a warning says so
 
 
 def excess_variance(
     frequency: np.ndarray, response: np.ndarray, variance: np.ndarray, power: np.ndarray, apart: int = 1
 ) -> np.ndarray:
-    """Return the relative variance (n,) of ``response`` (n,) by how its lines differ; 0 where ``variance`` explains it.
+    """Return the relative variance (n,) of ``response`` (n,) that its scatter shows beyond ``variance``.
 
-    ``frequency`` (n,) ascending, ``variance`` (n,) relative, ``power`` (n,) of the motion in it over that of the same
+    ``frequency`` (n,) ascends, ``variance`` (n,) is relative, ``power`` (n,) is that of the motion over that of the
     disturbance. Lines nearer than ``apart`` share their noise.
 
     >>> f, random = np.arange(1.0, 101.0), np.random.default_rng(0)
     >>> mass, noise = 1.0 / (3j * f + 5.0), random.standard_normal((2, 100)) / np.sqrt(2.0)
     >>> rough = mass * (1.0 + 0.1 * (noise[0] + 1j * noise[1]))
-    >>> found = [excess_variance(f, rough, np.full(100, v), np.ones(100)) for v in (1e-2, 1e-6)]
-    >>> float(np.max(found[0])), round(float(np.sqrt(np.median(found[1]))), 2)
+    >>> excess = [excess_variance(f, rough, np.full(100, v), np.ones(100)) for v in (1e-2, 1e-6)]
+    >>> float(np.max(excess[0])), round(float(np.sqrt(np.median(excess[1]))), 2)
     (0.0, 0.08)
     """
     n, offsets = frequency.size, apart * NEIGHBOURS
@@ -83,7 +81,7 @@ def excess_variance(
     near = centre[:, None] + offsets
     place = frequency[near] - frequency[centre, None]
     weight = np.ones(place.shape)
-    for j in range(NEIGHBOURS.size):  # of Lagrange's polynomial at the line itself
+    for j in range(NEIGHBOURS.size):  # Lagrange weights at the line itself
         for k in range(NEIGHBOURS.size):
             if k != j:
                 weight[:, j] *= place[:, k] / (place[:, k] - place[:, j])
@@ -94,8 +92,8 @@ def excess_variance(
         size = np.abs(np.sum(shares, axis=1) - 1.0) ** 2
         closer = size < difference
         expected, by_motion = (
-            np.where(closer, one[centre] + np.sum(np.abs(shares) ** 2 * one[near], axis=1), other)
-            for one, other in ((variance, expected), (1.0 / power, by_motion))
+            np.where(closer, level[centre] + np.sum(np.abs(shares) ** 2 * level[near], axis=1), other)
+            for level, other in ((variance, expected), (1.0 / power, by_motion))
         )
         difference = np.where(closer, size, difference)
     usual = _usual(difference / np.maximum(expected, 1e-300))
@@ -104,7 +102,7 @@ def excess_variance(
 
 
 def _usual(ratio: np.ndarray) -> np.ndarray:
-    """The mean that the median of the ``ratio`` (m,) of the lines around each belongs to, were it noise."""
+    """The mean of noise powers with the running median of ``ratio`` (m,), which is chi-squared with two degrees."""
     from scipy.ndimage import median_filter
 
     size = min(2 * AROUND + 1, ratio.size)
@@ -113,10 +111,11 @@ def _usual(ratio: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ResponseEstimate:
-    """A response, how it was found, and the ratio of the spectra of velocity and command at the same lines.
+    """A measured response with its method, and the ratio of the spectra of velocity and command at the same lines.
 
-    ``method`` is one of ``METHODS``, ``instrument`` what moved the loop, ``spectral_ratio`` (n,) the response that
-    ignores feedback [(m/s)/N], for comparison; ``passes`` how many stretches were used, of ``seconds`` [s] together.
+    ``method`` is one of ``METHODS``, ``instrument`` the signal that excites the loop, ``spectral_ratio`` (n,)
+    [(m/s)/N] the response without regard to feedback, for comparison; ``passes`` the number of stretches used, of
+    ``seconds`` [s] together.
     """
 
     response: FrequencyResponse
@@ -141,11 +140,11 @@ class ResponseEstimate:
 
     @property
     def all_warnings(self) -> tuple[str, ...]:
-        """What is odd about the data, and what speaks against the masses that were fitted."""
+        """Warnings about the data and about the chain of masses that fits them."""
         return (*self.warnings, *self.comparison.chain.warnings)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: the table, the comparison, and what was assumed."""
+        """Plain data: the table, the comparison, the method and its figures."""
         ratio = self.spectral_ratio
         apart = np.abs(ratio / self.response.response - 1.0)
         return {
@@ -154,7 +153,7 @@ class ResponseEstimate:
             "instrument": self.instrument,
             "lines": len(self.response),
             **self.response.to_dict(),
-            "resonances": [one.to_dict() for one in self.resonances],
+            "resonances": [resonance.to_dict() for resonance in self.resonances],
             **self.comparison.to_dict(),
             "distortion": None if self.distortion is None else self.distortion.to_dict(),
             "spectral_ratio": {
@@ -187,16 +186,15 @@ def estimate_response(
 ) -> ResponseEstimate:
     """Return the response of ``axis`` from force to velocity in ``records``, with its deviations.
 
-    Of ``axis`` only the drive's gain and the computation delay are read: the force is the command held over its period,
-    that many samples late; hold, difference and delay are divided out, a lag of the current loop is part of
-    what is measured. A duty is one of the ``supply`` that the records have at each sample, else of the drive's. Where
-    ``enable`` is 0 the force is 0, and a back-EMF that brakes nothing then is given back. ``method`` is ``auto`` or one
-    of ``METHODS``; ``instrument`` as for :func:`~emps_design.frequency_response.signals.signals_of`, or ``command``
-    for records made in open loop, where no controller is known to ``axis``; ``low`` and ``high`` [Hz] bound the lines.
-    Raises :class:`RecordError` where nothing moves the loop from outside, where what moves it is a command with the
-    controller's feedback in it, where the motor is switched off throughout,
-    where the excitation is too weak, and for frequencies beyond Nyquist; :class:`AxisError` for a duty whose supply
-    neither ``axis`` nor a record has.
+    Of ``axis`` only the drive's gain and the computation delay are used: the force is the command, held over a period
+    and delayed by that many samples. Hold, difference and delay are divided out; a lag of the current loop stays in the
+    response. A duty refers to the ``supply`` of the record at each sample, else to the drive's. Where ``enable`` is 0
+    the force is 0, without braking by the back-EMF. ``method`` is ``auto`` or one of ``METHODS``; ``instrument`` is as
+    for :func:`~emps_design.frequency_response.signals.signals_of`, or ``command`` for open-loop records, where ``axis``
+    has no controller; ``low`` and ``high`` [Hz] bound the lines. Raises :class:`RecordError` without an excitation, for
+    a command as the excitation of a closed loop, where the motor is switched off throughout, where the excitation is
+    too weak, and for frequencies beyond Nyquist; :class:`AxisError` for a duty whose supply neither ``axis`` nor a
+    record has.
     """
     several = [records] if isinstance(records, Record) else list(records)
     axis = axis.supplied_by(*several)
@@ -215,22 +213,22 @@ def estimate_response(
             f"highest, which is at most {HIGHEST_SHARE * nyquist:g} Hz at this sampling"
         )
     _check_excitation(several, axis, instrument)
-    if instrument == COMMAND:  # in open loop it is all that was added
+    if instrument == COMMAND:  # in open loop the whole command is the excitation
         several, instrument = [replace(record, excitation=record.u) for record in several], EXCITATION
-    read = [signals_of(_driven(record, axis), instrument) for record in several]
-    method = _method(read) if method == "auto" else method
+    signals = [signals_of(_driven(record, axis), instrument) for record in several]
+    method = _method(signals) if method == "auto" else method
     tell = progress or untold
     if method == "periodic":
-        answer, extra = periodic_answer(read, highest, tell)
+        answer, extra = periodic_answer(signals, highest, tell)
     elif method == "stepped":
-        answer, extra = stepped_answer(read, highest, tell)
+        answer, extra = stepped_answer(signals, highest, tell)
     else:
-        answer, extra = broadband_answer(read, method, low, highest, tell)
-    return _finished(several, read, axis, answer, method, extra, low, highest)
+        answer, extra = broadband_answer(signals, method, low, highest, tell)
+    return _estimate(several, signals, axis, answer, method, extra, low, highest)
 
 
 def _check_excitation(records: list[Record], axis: Axis, instrument: str) -> None:
-    """Refuse a command as the excitation where the controller of ``axis`` makes it: its feedback would be in both."""
+    """Refuse the command as the excitation where the controller of ``axis`` computes it, since it contains feedback."""
     if axis.controller.kind == NONE or instrument == REFERENCE:
         return
     for record in records:
@@ -244,9 +242,9 @@ def _check_excitation(records: list[Record], axis: Axis, instrument: str) -> Non
 
 
 def _driven(record: Record, axis: Axis) -> Record:
-    """The record with a command that, times ``axis.drive.gain``, is the force, supply and switch accounted for.
+    """The record with the command that, times ``axis.drive.gain``, is the force at its supply and motor switch.
 
-    They act when the command does, its delay after its sample.
+    Supply and switch are those at the time at which the command acts, the computation delay after its sample.
     """
     share = motor_share(axis, record)
     if np.ndim(share) == 0:
@@ -270,17 +268,18 @@ def _same_period(records: list[Record], axis: Axis) -> float:
     return records[0].period
 
 
-def _method(read: list[Signals]) -> str:
-    if all(one.steps for one in read):
+def _method(signals: list[Signals]) -> str:
+    if all(record.steps for record in signals):
         return "stepped"
-    if all(one.repeats and one.stretches for one in read) and len({one.repeats for one in read}) == 1:
+    periods = {record.repeats for record in signals}
+    if len(periods) == 1 and 0 not in periods and all(record.stretches for record in signals):
         return "periodic"
     return "local-polynomial"
 
 
-def _finished(
+def _estimate(
     records: list[Record],
-    read: list[Signals],
+    signals: list[Signals],
     axis: Axis,
     answer: Answer,
     method: str,
@@ -288,7 +287,7 @@ def _finished(
     low: float,
     highest: float,
 ) -> ResponseEstimate:
-    """The response and its deviations from what the loop answers."""
+    """The response and its deviations from the ``answer`` of the loop."""
     period, w = records[0].period, 2.0 * np.pi * answer.frequency
     late = axis.sampling.computation_delay * period
     gain = axis.drive.gain
@@ -298,7 +297,7 @@ def _finished(
 
     z_q, z_u, C = answer.z[:, 0], answer.z[:, 1], answer.noise
     variance, freedom = answer.variance, answer.freedom
-    if method != "stepped":  # where lines are far apart, each with an amplitude of its own
+    if method != "stepped":  # its lines are far apart, each with its own amplitude
         variance = _pooled(variance, np.abs(z_q / z_u))
         freedom *= min(POOLED, variance.size) * (1.0 if method == "periodic" else 0.5)
     variance = variance * max(1.0, extra.scatter) * _for_few(freedom)
@@ -313,32 +312,32 @@ def _finished(
     of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
     if method != "stepped":
         of_q, of_u = _near(of_q, np.mean), _near(of_u, np.mean)
-    quiet = np.finfo(float).tiny  # of a command that is the excitation
+    quiet = np.finfo(float).tiny  # noise of a command that is the excitation
     above = np.minimum(*(np.abs(z) ** 2 / np.maximum(of, quiet) for z, of in ((z_q, of_q), (z_u, of_u))))
-    if method != "stepped":  # a line that is kept because its own answer happens to be large is too large
+    if method != "stepped":  # selection by a line's own answer would bias the response upwards
         above = _near(above, np.median)
     clear = above >= CLEAR
     kept = clear & (std <= WORST) & (answer.frequency >= low) & (answer.frequency <= highest * (1.0 + 1e-9))
     name = ", ".join(record.name for record in records)
     if np.count_nonzero(kept) < 4:
         raise RecordError(
-            f"{name}: found {np.count_nonzero(kept)} of {kept.size} lines on which the {read[0].kind} stands out of "
+            f"{name}: found {np.count_nonzero(kept)} of {kept.size} lines on which the {signals[0].kind} stands out of "
             "the noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"
         )
-    response, aliases = without_aliases(w[kept], plant(z_q / z_u)[kept], std[kept], period)
-    found = FrequencyResponse(answer.frequency[kept], response, np.hypot(std[kept], aliases), coherence[kept], name)
-    moved = [motion(one) for one in read]
-    reversals = int(sum(one["reversals"] for one in moved))
-    seconds = sum(one["seconds"] for one in moved)
-    rest = sum(one["rest_share"] * one["seconds"] for one in moved) / seconds
+    corrected, aliases = without_aliases(w[kept], plant(z_q / z_u)[kept], std[kept], period)
+    response = FrequencyResponse(answer.frequency[kept], corrected, np.hypot(std[kept], aliases), coherence[kept], name)
+    motions = [motion(run) for run in signals]
+    reversals = int(sum(run["reversals"] for run in motions))
+    seconds = sum(run["seconds"] for run in motions)
+    rest = sum(run["rest_share"] * run["seconds"] for run in motions) / seconds
     left_out = int(np.count_nonzero(~kept))
     return ResponseEstimate(
-        found,
+        response,
         method,
-        read[0].kind,
+        signals[0].kind,
         plant(extra.ratio)[kept],
         extra.distortion,
-        resonances(found),
+        resonances(response),
         extra.passes,
         extra.periods,
         seconds,
@@ -348,7 +347,7 @@ def _finished(
         axis,
         (
             *(text for record in records for text in (*record.contradictions, *record.gaps_in_words)),
-            *_words(found, extra, reversals, rest, seconds, left_out),
+            *_words(response, extra, reversals, rest, seconds, left_out),
         ),
     )
 
@@ -356,8 +355,8 @@ def _finished(
 def _pooled(variance: np.ndarray, size: np.ndarray) -> np.ndarray:
     """Relative variances (n,) averaged over neighbouring lines, since noise is smooth in frequency.
 
-    Seen as an input it makes a relative variance that is smooth, seen as an output, such as the encoder's noise, one
-    that goes with 1/``size``^2, the response's own. Of the two the likelier is taken, line by line.
+    Noise at the input makes a smooth relative variance; noise at the output, such as the encoder's, one proportional
+    to 1/``size``^2 of the response. The likelier of the two is taken for each line.
     """
     half = POOLED // 2
     near = np.clip(np.arange(variance.size)[:, None] + np.arange(-half, half + 1), 0, variance.size - 1)
@@ -369,28 +368,28 @@ def _pooled(variance: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 
 def _near(power: np.ndarray, kind: Callable[..., np.ndarray]) -> np.ndarray:
-    """The mean or the median, as ``kind`` says, of ``power`` (n,) over neighbouring lines."""
+    """``kind``, the mean or the median, of ``power`` (n,) over neighbouring lines."""
     half = min(POOLED // 2, (power.size - 1) // 2)
     near = np.clip(np.arange(power.size)[:, None] + np.arange(-half, half + 1), 0, power.size - 1)
     return kind(power[near], axis=1)
 
 
 def _for_few(freedom: float) -> float:
-    """By what a variance of so many degrees of freedom is raised so that the 95 % circle of known noise still holds."""
+    """Factor on a variance of ``freedom`` degrees so that the circle of known noise still holds 95 %."""
     from scipy.stats import f
 
     return float(f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
 
 
 def _words(
-    found: FrequencyResponse, extra: Extra, reversals: int, rest: float, seconds: float, left_out: int
+    response: FrequencyResponse, extra: Extra, reversals: int, rest: float, seconds: float, left_out: int
 ) -> list[str]:
-    """What a reader of the response has to know."""
+    """Warnings about the response and the motion of its records."""
     words = []
-    if has_wrong_sign(found):
+    if has_wrong_sign(response):
         words.append(
-            f"the command has the wrong sign: at {found.frequency[0]:.3g} Hz the phase of the response is "
-            f"{found.phase_deg[0]:.0f} deg, expected between -90 (a mass) and 0 (a friction)"
+            f"the command has the wrong sign: at {response.frequency[0]:.3g} Hz the phase of the response is "
+            f"{response.phase_deg[0]:.0f} deg, expected between -90 (a mass) and 0 (a friction)"
         )
     if reversals > extra.passes or rest > RESTING:
         words.append(

@@ -1,19 +1,15 @@
-"""The experiment that measures a response: a multi-sine or a stepped sine on a carriage that runs to and fro.
+"""Design of a frequency-response experiment: a multi-sine or a stepped sine on a carriage that runs to and fro.
 
-While the carriage runs one way, dry friction is a constant and the loop is linear. So the reference makes passes at a
-steady speed, and on each, once the loop has settled, the excitation is added, :mod:`.waves`. The
-spectrum of the command falls with a power of the frequency; what has to be added to the controller's output, or to the
-reference, for that follows from the loop of the axis's model, and so do all peaks. The amplitude is the largest that
-keeps the velocity from changing sign and every limit. Expected deviations follow from the noise assumed: white force
-noise and the encoder's quantisation.
+While the carriage runs one way, dry friction is constant and the loop is linear. So the reference makes passes at a
+steady speed, and the excitation (:mod:`.waves`) is added on each pass once the loop has settled. The amplitude of the
+command falls with a power of the frequency. The model of the loop gives the excitation at the controller's output or
+the reference that this takes, and all peaks. The amplitude is the largest at which the velocity keeps its sign and
+every limit holds. Expected deviations follow from white force noise and the encoder's quantisation.
 Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 5.
 
-What an experiment must stay within, and whether what is asked of one can be meant at all.
-
-An experiment run once on the nonlinear axis before it runs on the machine: what it reaches, and how much to keep.
-
-The linear loop says what the excitation adds to steady motion. It knows neither the ramps of the passes, nor what comes
-and goes between two steps, nor a controller whose own share of the command meets its limit before the sum does.
+The experiment is then simulated on the nonlinear axis, and the excitation reduced until every limit holds. The linear
+loop covers neither the ramps of the passes, nor transients between two steps, nor a controller whose own share of the
+command reaches its limit before the sum does.
 """
 
 from __future__ import annotations
@@ -40,12 +36,12 @@ PLACES = ("command", "reference")
 ROOM = 0.9  # share of a limit that is used
 
 TRIES = 12
-SHRINKS, STEP = 0.98, 0.5  # of what the linear loop says has to go, and where it cannot say
+SHRINKS, STEP = 0.98, 0.5  # factors on an excitation that exceeds a limit: beside the linear estimate, and without one
 
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency
 TURNING = 0.8  # share of the steady speed that the excitation may take
-STEEPEST = 10.0  # times the command, what may be added to have it: below the crossover the controller works against it
-SLOWER = 0.5  # share of the speed of the passes that may go for the encoder's steps not to repeat
+STEEPEST = 10.0  # largest excitation over command: below the crossover the controller opposes the excitation
+SLOWER = 0.5  # largest relative reduction of the speed that keeps the encoder's steps from repeating
 TRIED = 2000  # speeds
 PERIODS = (2, 4, 8, 16, 32)  # over which the steps are not to repeat
 NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
@@ -53,7 +49,7 @@ NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where no
 
 @dataclass(frozen=True)
 class Limits:
-    """What must not be exceeded, None: no limit. ``stroke`` [m], ``speed`` [m/s], ``force`` [N], ``jerk`` [m/s^3]."""
+    """Limits of an experiment: ``stroke`` [m], ``speed`` [m/s], ``force`` [N], ``jerk`` [m/s^3]; None is no limit."""
 
     stroke: float
     speed: float | None = None
@@ -61,12 +57,12 @@ class Limits:
     jerk: float | None = None
 
 
-def check_asked(
+def check_request(
     limits: Limits, speed: float, low: float, high: float, resolution: float, nyquist: float, at: str, steps: int | None
 ) -> None:
-    """Raise :class:`InputError` for a place, a band, a number of steps, a speed or a limit that cannot be meant.
+    """Raise :class:`InputError` for an invalid place, band, resolution, number of steps, speed or limit.
 
-    >>> check_asked(Limits(0.5, force=float("nan")), 0.05, 2.0, 100.0, 0.5, 500.0, "command", None)
+    >>> check_request(Limits(0.5, force=float("nan")), 0.05, 2.0, 100.0, 0.5, 500.0, "command", None)
     Traceback (most recent call last):
         ...
     emps_design.errors.InputError: force limit: found nan, expected a positive number
@@ -81,8 +77,8 @@ def check_asked(
         raise InputError(f"resolution: found {resolution:g} Hz, expected more than 0 and several lines in the band")
     if steps is not None and steps < GROUP:
         raise InputError(f"steps: found {steps}, expected at least {GROUP} lines")
-    bounds = {one.name if one.name == "stroke" else f"{one.name} limit": getattr(limits, one.name)
-              for one in fields(limits)}  # fmt: skip
+    bounds = {limit.name if limit.name == "stroke" else f"{limit.name} limit": getattr(limits, limit.name)
+              for limit in fields(limits)}  # fmt: skip
     for name, value in {"speed": speed, **bounds}.items():
         if value is not None and not 0.0 < value < math.inf:
             raise InputError(f"{name}: found {value:g}, expected a positive number")
@@ -108,9 +104,9 @@ take a shorter stroke, a higher speed, or fewer passes
 
 @dataclass(frozen=True, eq=False)
 class LoopInputs:
-    """What the loop is given: ``q_ref`` (n,) [m], ``excitation`` (n,) [V], and ``excited`` (n,) where one of them is.
+    """Inputs of the loop: ``q_ref`` (n,) [m] and ``excitation`` (n,) [V]; ``excited`` (n,) marks the excited samples.
 
-    ``passes`` (n,) [m/s] is the velocity of the passes alone: an excitation that the reference carries is not in it.
+    ``passes`` (n,) [m/s] is the velocity of the passes alone, without an excitation in the reference.
     """
 
     q_ref: np.ndarray
@@ -121,7 +117,7 @@ class LoopInputs:
 
 @dataclass(frozen=True)
 class Bound:
-    """A ``limit`` of what is ``reached``; ``name`` and ``unit`` are for words."""
+    """A ``limit`` on the quantity that ``reached`` takes from a simulation; ``name`` and ``unit`` are for messages."""
 
     name: str
     limit: float
@@ -131,9 +127,9 @@ class Bound:
 
 @dataclass(frozen=True)
 class Reached:
-    """Largest velocity [m/s] and command [V] of a simulated experiment, its slowest excited pass, travel [m].
+    """Peaks of a simulated experiment: ``velocity``, ``slowest`` while excited [m/s]; ``command`` [V], ``travel`` [m].
 
-    ``own`` [V] is the controller's share of the command, which a drive limits before anything is added.
+    ``own`` [V] is the controller's share of the command, which a drive limits before the excitation is added.
     """
 
     velocity: float
@@ -143,11 +139,11 @@ class Reached:
     travel: float
 
 
-def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], LoopInputs]) -> tuple[float, Reached, str]:
-    """The largest share of the excitation whose ``signals(share)`` stay within ``bounds``; what it reaches.
+def rehearse(axis: Axis, bounds: list[Bound], signals: Callable[[float], LoopInputs]) -> tuple[float, Reached, str]:
+    """Return the largest share of the excitation, at most 1, whose ``signals(share)`` stay within ``bounds``, its peaks
+    in the simulation, and the name of the bound that limits it, "" for none.
 
-    Also the name of the bound that took some of it away, "" where all may stay. Raises :class:`InputError` where the
-    passes alone do not stay within the bounds.
+    Raises :class:`InputError` where the passes alone exceed a bound.
     """
     alone = _reached(axis, signals(0.0))
     if alone is None:
@@ -160,26 +156,26 @@ def rehearsed(axis: Axis, bounds: list[Bound], signals: Callable[[float], LoopIn
             )
     share, bound_by = 1.0, ""
     for _ in range(TRIES):
-        found = _reached(axis, signals(share))
-        over = bounds[:1] if found is None else [bound for bound in bounds if bound.reached(found) > bound.limit]
-        if found is not None and not over:
-            return share, found, bound_by
+        reached = _reached(axis, signals(share))
+        over = bounds[:1] if reached is None else [bound for bound in bounds if bound.reached(reached) > bound.limit]
+        if reached is not None and not over:
+            return share, reached, bound_by
         bound_by = over[0].name
-        if found is None or max(found.command, found.own) >= axis.drive.command_limit * (1.0 - 1e-9):
-            share *= STEP  # beyond its limit nothing tells how much too large a command is
+        if reached is None or max(reached.command, reached.own) >= axis.drive.command_limit * (1.0 - 1e-9):
+            share *= STEP  # a saturated command does not show by how much it is too large
         else:
-            share *= SHRINKS * min(_left_for(bound, alone, found) for bound in over)
+            share *= SHRINKS * min(_allowed_share(bound, alone, reached) for bound in over)
     raise InputError(f"{bound_by}: found no excitation that stays within it, expected a lower speed")
 
 
-def _left_for(bound: Bound, alone: Reached, found: Reached) -> float:
-    """The share of an excitation that ``bound`` leaves, from what the passes reach without it and with it."""
-    still = bound.reached(alone)
-    return (bound.limit - still) / (bound.reached(found) - still)
+def _allowed_share(bound: Bound, alone: Reached, reached: Reached) -> float:
+    """The share of an excitation that ``bound`` allows, by linear interpolation from the passes without it."""
+    steady = bound.reached(alone)
+    return (bound.limit - steady) / (bound.reached(reached) - steady)
 
 
 def _reached(axis: Axis, signals: LoopInputs) -> Reached | None:
-    """What is reached in closed loop; None where the simulation cannot go on."""
+    """Peaks of the closed loop in a simulation; None where the simulation fails."""
     try:
         run = Plant.of(axis).closed_loop(signals.q_ref, voltage_noise=signals.excitation)
     except SimulationError:
@@ -196,13 +192,12 @@ def _reached(axis: Axis, signals: LoopInputs) -> Reached | None:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Reference and excitation at the samples, and what is expected of them.
+    """Reference and excitation at the samples, with the expected deviations and peaks.
 
-    ``q_ref`` (n,) [m]; ``excitation`` (n,) [V] is 0 where the reference carries it; ``frequency`` (m,) [Hz]
-    and ``std`` (m,) the lines and their expected relative deviations; ``peaks`` largest values beside the ``limits``.
-    ``speed`` [m/s] of the passes is a little below the ``asked`` one where at that the encoder's steps would repeat.
-    ``signal`` is a multi-sine, with so many ``periods`` of ``samples`` on each pass, or a stepped sine, with so many
-    blocks of ``samples`` at most.
+    ``q_ref`` (n,) [m]; ``excitation`` (n,) [V], 0 where the reference carries it; ``frequency`` (m,) [Hz] the lines and
+    ``std`` (m,) their expected relative deviations; ``peaks`` the largest values. The passes run at ``speed`` [m/s], a
+    little below ``requested_speed`` where the encoder's steps would repeat at that. ``signal`` is a multi-sine, with
+    ``periods`` of ``samples`` on each pass, or a stepped sine, with blocks of at most ``samples``.
     """
 
     axis: Axis
@@ -212,7 +207,7 @@ class Experiment:
     excitation: np.ndarray = field(repr=False)
     frequency: np.ndarray
     std: np.ndarray
-    asked: float
+    requested_speed: float
     speed: float
     passes: int
     periods: int
@@ -229,7 +224,7 @@ class Experiment:
 
     @cached_property
     def columns(self) -> dict[str, np.ndarray]:
-        """What goes to the drive, by title."""
+        """Columns of the experiment's table by title, in the units of the axis."""
         unit = self.axis.units.unit
         columns = {"t [s]": np.arange(self.q_ref.size) * self.period, f"q_ref [{unit('m')}]": self.q_ref}
         return columns if self.at == "reference" else {**columns, f"excitation [{unit('V')}]": self.excitation}
@@ -241,7 +236,7 @@ class Experiment:
             "signal": self.signal,
             "at": self.at,
             "seconds": self.q_ref.size * self.period,
-            "asked_speed": self.asked,
+            "asked_speed": self.requested_speed,
             "speed": self.speed,
             "passes": self.passes,
             "periods": self.periods,
@@ -271,23 +266,23 @@ def design_experiment(
     seed: int = 0,
     steps: int | None = None,
 ) -> Experiment:
-    """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], ``resolution`` [Hz] the base line.
+    """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], spaced by ``resolution`` [Hz] at least.
 
-    ``speed`` [m/s] is that of the passes at most, ``slope`` the power of frequency by which the command's amplitude
-    falls, ``at`` where the excitation is added, ``noise`` [N rms] what the deviations are expected from, by default 2 %
-    of the Coulomb friction. With ``steps`` it is a stepped sine of so many lines, each measured
-    over 1/``resolution`` as often as there would be ``passes``. Raises
-    :class:`InputError` for what does not fit the limits, :class:`UnstableError` for an axis whose loop is unstable.
+    ``speed`` [m/s] is the highest speed of the passes, ``slope`` the power of frequency by which the amplitude of the
+    command falls, ``at`` where the excitation is added, ``noise`` [N rms] the force noise behind the expected
+    deviations, by default 2 % of the Coulomb friction. With ``steps`` it is a stepped sine of that many lines, each
+    measured over 1/``resolution`` [s] and repeated ``passes`` times. Raises :class:`InputError` for an experiment that
+    does not fit the limits, :class:`UnstableError` for an axis with an unstable loop.
 
     >>> from emps_design.machines import machine
-    >>> found = design_experiment(machine("emps2019"), Limits(stroke=0.5), speed=0.05, resolution=1.0)
-    >>> found.periods, found.bound_by, list(found.columns)
+    >>> experiment = design_experiment(machine("emps2019"), Limits(stroke=0.5), speed=0.05, resolution=1.0)
+    >>> experiment.periods, experiment.bound_by, list(experiment.columns)
     (6, 'command limit', ['t [s]', 'q_ref [m]', 'excitation [V]'])
     """
     period = axis.sampling.period
     nyquist = 0.5 / period
     high = HIGHEST_SHARE * nyquist if high is None else high
-    check_asked(limits, speed, low, high, resolution, nyquist, at, steps)
+    check_request(limits, speed, low, high, resolution, nyquist, at, steps)
     samples = round(1.0 / (resolution * period))
     settle = round(max(0.2, 2.0 / low) / period)
     wave: Wave
@@ -296,7 +291,7 @@ def design_experiment(
     else:
         fade, random = min(settle, samples // 2), np.random.default_rng(seed)
         wave = MultiSine.between(low * period, high * period, samples, fade, random)
-    asked, speed = speed, _between_steps(speed, axis, wave)
+    requested, speed = speed, _between_steps(speed, axis, wave)
     loop = axis_loop(axis, speed)
     if not loop.stable:
         raise UnstableError(
@@ -318,24 +313,26 @@ def design_experiment(
     by = "voltage" if at == PLACES[0] else "reference"
     command = loop.response(w, "voltage", by) + (1.0 if at == PLACES[0] else 0.0)
     added = w**-slope / np.maximum(np.abs(command), 1.0 / STEEPEST if by == "voltage" else 1e-12)
-    one = wave.phased(added, command)
-    velocity = one * loop.response(w, "velocity", by)
+    spectrum = wave.phased(added, command)
+    velocity = spectrum * loop.response(w, "velocity", by)
     unit = {
         "velocity": wave.peak(velocity),
-        "command": wave.peak(one * command),
-        "added": wave.peak(one) if at == PLACES[0] else 0.0,
-        "own": wave.peak(one * (command - 1.0)) if at == PLACES[0] else 0.0,  # the controller's answer
+        "command": wave.peak(spectrum * command),
+        "added": wave.peak(spectrum) if at == PLACES[0] else 0.0,
+        "own": wave.peak(spectrum * (command - 1.0)) if at == PLACES[0] else 0.0,  # the controller's answer
         "position": wave.peak(velocity / (1j * w)),
         "jerk": wave.peak(velocity * (1j * w) ** 2),
     }
     amplitude, bound_by = _amplitude(axis, limits, speed, steady, unit)
-    carried = one * period / (1.0 - np.exp(-1j * w * period)) if by == "reference" and _follows_velocity(axis) else one
+    carried = spectrum
+    if by == "reference" and _follows_velocity(axis):
+        carried = spectrum * period / (1.0 - np.exp(-1j * w * period))
     trains, each = wave.trains(amplitude * carried, flat, passes)
 
     def signals(share: float) -> LoopInputs:
         return _passes(period, speed, ramp, settle, [share * train for train in trains], at)
 
-    share, reached, cut_by = rehearsed(axis, _bounds(axis, limits), signals)
+    share, reached, cut_by = rehearse(axis, _bounds(axis, limits), signals)
     amplitude, bound_by = share * amplitude, cut_by or bound_by
     final = signals(share)
     q_ref, excitation = final.q_ref, final.excitation
@@ -348,25 +345,25 @@ def design_experiment(
         "stroke": max(float(np.ptp(q_ref)) + 2.0 * peaks["position"], reached.travel),
     }
     noise = NOISE_SHARE * axis.mechanics.coulomb if noise is None else noise
-    std = _expected(axis, speed, w, amplitude * np.abs(one * command), each, noise)
+    std = _expected(axis, speed, w, amplitude * np.abs(spectrum * command), each, noise)
     faint = int(np.count_nonzero(std > 0.3))
     words = (f"{faint} of {f.size} lines will hardly stand out of the noise",) if faint else ()
     periods = wave.periods(flat) if isinstance(wave, MultiSine) else BLOCKS
     samples = samples if isinstance(wave, MultiSine) else int(np.max(each)) // BLOCKS // passes
     return Experiment(
-        axis, wave.label, at, q_ref, excitation, f, std, asked, speed, len(trains), periods, samples, noise, peaks,
+        axis, wave.label, at, q_ref, excitation, f, std, requested, speed, len(trains), periods, samples, noise, peaks,
         bound_by, words,
     )  # fmt: skip
 
 
 def _steady_command(axis: Axis, speed: float) -> float:
-    """What the passes take, the harder way [V]."""
+    """Command [V] of steady motion at ``speed`` in the direction with more friction."""
     m = axis.mechanics
     return (axis.damping * speed + m.coulomb + abs(m.offset)) / axis.drive.gain
 
 
 def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: dict[str, float]) -> tuple[float, str]:
-    """The largest factor on the peaks ``unit`` that every limit bears, and which limit binds."""
+    """The largest factor on the peaks ``unit`` within every limit, and the name of the limit that binds."""
     gain = axis.drive.gain
     rooms = {
         "speed of the passes": TURNING * speed / unit["velocity"],
@@ -386,21 +383,21 @@ def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: di
 
 
 def _bounds(axis: Axis, limits: Limits) -> list[Bound]:
-    """What the whole experiment must stay within when it is simulated."""
+    """The bounds of the simulated experiment."""
     unit, gain = axis.units.unit, axis.drive.gain
     bounds = [
         Bound(
             "command limit",
             (1.0 - 1e-9) * axis.drive.command_limit,
-            lambda found: max(found.command, found.own),
+            lambda reached: max(reached.command, reached.own),
             unit("V"),
         ),
-        Bound("stroke", limits.stroke, lambda found: found.travel, unit("m")),
+        Bound("stroke", limits.stroke, lambda reached: reached.travel, unit("m")),
     ]
     if limits.speed is not None:
-        bounds.append(Bound("speed limit", limits.speed, lambda found: found.velocity, unit("m/s")))
+        bounds.append(Bound("speed limit", limits.speed, lambda reached: reached.velocity, unit("m/s")))
     if limits.force is not None:
-        bounds.append(Bound("force limit", limits.force, lambda found: gain * found.command, unit("N")))
+        bounds.append(Bound("force limit", limits.force, lambda reached: gain * reached.command, unit("N")))
     return bounds
 
 
@@ -413,8 +410,8 @@ def _follows_velocity(axis: Axis) -> bool:
 def _between_steps(speed: float, axis: Axis, wave: Wave) -> float:
     """The nearest speed [m/s] at or below ``speed`` at which the encoder's steps hardly repeat with the excitation.
 
-    A period later the carriage is then whole steps and a good part of one further: that speed is a little below
-    ``speed``. Where no speed is one for all of the lines, it is that at which the worst of them repeats least.
+    The carriage then advances by no whole number of steps in a period. Where no speed suits all lines, it is the one at
+    which the steps repeat least on the worst of them.
     """
     step = axis.sampling.encoder_resolution
     if step == 0.0:
@@ -428,7 +425,7 @@ def _between_steps(speed: float, axis: Axis, wave: Wave) -> float:
 
 
 def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float) -> float:
-    """How long the passes take to reach their ``speed`` [s]: as ``usual``, or what half of the force allows."""
+    """Time [s] in which the passes reach ``speed``: ``usual``, or longer so that half of the spare force suffices."""
     gain = axis.drive.gain
     most = min(gain * axis.drive.command_limit, np.inf if limits.force is None else limits.force)
     room = 0.5 * (ROOM * most - gain * steady)
@@ -436,7 +433,7 @@ def _ramp(axis: Axis, limits: Limits, speed: float, steady: float, usual: float)
 
 
 def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[np.ndarray], at: str) -> LoopInputs:
-    """All passes and where they are excited; the velocity of the passes changes as half a cosine."""
+    """All passes with their excitation; the velocity of the passes changes as half a cosine."""
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(round(ramp / period)) + 0.5) / round(ramp / period))
     velocity, added, rest = [np.zeros(settle)], [np.zeros(settle)], np.zeros(settle)
     excited = [rest]
@@ -456,7 +453,7 @@ def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[
 def _expected(
     axis: Axis, speed: float, w: np.ndarray, command: np.ndarray, samples: np.ndarray | int, noise: float
 ) -> np.ndarray:
-    """Relative deviations (m,) from the amplitudes of the ``command`` (m,) [V] over so many ``samples`` (m,)."""
+    """Relative deviations (m,) of lines whose ``command`` has amplitudes (m,) [V] over ``samples`` (m,)."""
     plant, resolution = sample_axis(axis, speed), axis.sampling.encoder_resolution
     back = np.exp(-1j * w * plant.period)
     estimate = estimator_response(plant.estimator, w, plant.period) * (1.0 - back)

@@ -1,28 +1,26 @@
 """A control law around a measured plant: stability, margins and sensitivity peaks, with bands from the deviations.
 
-The open loop at the plant input is the law as it is computed, exactly, times the measured response with hold,
-computation delay and aliases put back; between the lines log(j w G) is interpolated in log w by a spline. Above
-the highest line the response goes on as the mass line of the last ones, below the lowest as a mass too, to whose phase
-it turns from that of the line; a margin that lies there is said to. Stability is Nyquist's: 1 + L turns, from 0 to the
-Nyquist frequency, by a quarter for each integrator.
+The open loop at the plant input is the exact sampled law times the measured response with hold, computation delay and
+aliases put back; between the lines log(j w G) is interpolated in log w by a spline. Above the highest line the response
+continues as the mass line of the last ones, below the lowest as a mass too, to whose phase it turns; a warning says
+where a margin lies there. Stability follows from Nyquist's criterion: from 0 to the Nyquist frequency 1 + L turns by 90
+degrees for each integrator.
 
 The margins are smallest over all crossings. The disk margin is the largest a for which every gain and phase change
 f = (1 + d/2)/(1 - d/2), |d| < a, at the plant input keeps the loop stable: a = 1/max|S - 1/2|. Gain alone may change
 from (2 - a)/(2 + a) to its inverse, phase alone up to 2 atan(a/2) (P. Seiler, A. Packard, P. Gahinet, IEEE Control
 Systems 40(5), 2020).
 
-Bands: for crossings the data are drawn anew with their deviations, each line by itself, and the quantiles of what the
-draws give are taken. A largest value over noisy lines would lie too high in every draw; it lies between the largest of
-the lines' lower bounds and the largest of their upper ones.
+Bands: for crossings, draws of the data with independent errors of the lines give quantiles. The maximum over noisy
+lines would be too high in every draw; its band is from the largest of the lines' lower bounds to the largest of their
+upper ones.
 
-A law whose loops run at different rates around a measured plant: exact margins at the plant input.
-
-A sine that goes into such a law comes out at all N frequencies w + 2 pi m/(N T), after which it does the same again.
-Over these the plant is diagonal, from the data, and the law a matrix H(w), that of its lifted form; the open loop is
-L(w) = -H(w) P(w), N by N. A factor f at the plant input leaves the loop at the edge of stability where
-det(I + f L(w)) = 0, a delay where det(I + L(w)) = 0 with the delay in it. The eigenvalues of L say where to look for
-these roots in the data as they are; from there they are followed into the data as drawn. What comes out at
-the frequency that goes in has the sensitivity that stands on the diagonal of (I + L)^-1.
+A law with loops at different rates repeats after N samples. It answers a sine at w at all N frequencies w + 2 pi m/(N
+T). Over these the plant is diagonal, from the data, and the law a matrix H(w), that of its lifted form; the open loop
+is L(w) = -H(w) P(w), N by N. A factor f at the plant input leaves the loop at the edge of stability where det(I + f
+L(w)) = 0, a delay where det(I + L(w)) = 0 with the delay in it. The eigenvalues of L on the measured data give the
+start of these roots, Newton's method the roots for each draw. The sensitivity from a frequency to itself is the
+diagonal of (I + L)^-1.
 
 Source: S. Bittanti and P. Colaneri, Periodic Systems, Springer 2009, chapters 2 and 6.
 """
@@ -48,14 +46,14 @@ from emps_design.frequency_response.response import FrequencyResponse, resonance
 from emps_design.laws import law_of
 from emps_design.laws.linear import LinearLaw, linear_law
 
-MOST = 32  # samples after which a law does the same again
+MOST = 32  # samples after which a law repeats
 TURNS = 40
 FOUND = 1e-9  # of the determinant, relative to its slope
 
 DRAWS, SEED = 600, 20
-# Of the draws 99 % for a band of 95 %: they know nothing of what the deviations are uncertain by themselves.
+# 99 % of the draws for a band of 95 %: the draws neglect that the deviations are uncertain themselves.
 QUANTILES = (0.005, 0.995)
-BOUND = 2.5  # standard deviations of one line's bound, where the largest of many is taken
+BOUND = 2.5  # standard deviations of the bound of one line, for a maximum over many
 CROSSINGS = ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "gain_margin_frequency")
 NAMES = (*CROSSINGS, "disk_margin", "sensitivity_peak_below", "sensitivity_peak_above")
 LARGEST_IS_WORST = ("sensitivity_peak_below", "sensitivity_peak_above")
@@ -81,14 +79,14 @@ class SeveralRates:
 
     @cached_property
     def grid(self) -> np.ndarray:
-        """Frequencies [rad/s] on which those of the plant's grid fold."""
+        """Frequencies [rad/s] onto which the plant's grid folds."""
         folded = np.mod(self.plant.grid, 2.0 * self._end)
         folded = np.unique(np.minimum(folded, 2.0 * self._end - folded))
         far = folded[np.concatenate([[True], np.diff(folded) > 1e-9 * folded[1:]])]
         return far[far >= self.plant.grid[0] * (1.0 - 1e-9)]
 
     def _places(self, w: np.ndarray) -> np.ndarray:
-        """The frequencies [rad/s] among which the law mixes ``w`` (...), negative from half of them on: (..., N)."""
+        """The frequencies (..., N) [rad/s] that the law couples with ``w`` (...), from -pi/T to pi/T."""
         all_of_them = w[..., None] + 2.0 * self._end * np.arange(self.law.cycle)
         nyquist = math.pi / self.plant.period
         return np.where(all_of_them > nyquist, all_of_them - 2.0 * nyquist, all_of_them)
@@ -122,17 +120,16 @@ class SeveralRates:
         return -law * np.where(places < 0.0, plant.conj(), plant)[..., None, :]
 
     def margins(self) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Margins of every row as :func:`~emps_design.control.margins.margin_arrays` has them, and which are
-        stable."""
+        """Margins of every row, as :func:`~emps_design.control.margins.margin_arrays`, and which are stable (m,)."""
         count, unit = len(self.plant.rows), np.eye(self.law.cycle)
         rows = np.arange(count)
         on_grid = np.array([np.linalg.det(unit + self.matrix(self.grid, row)) - 1.0 for row in range(count)])
-        found = {key: np.full(count, np.nan) for key in KEYS}
+        margins = {key: np.full(count, np.nan) for key in KEYS}
         w, value, place = self._crossings(lambda values: np.log(np.abs(values)))
         sign = np.where(place < 0.0, -1.0, 1.0)
         lag = np.mod(sign * np.angle(value) + np.pi, 2.0 * np.pi)
 
-        # Each is a function of what is sought at frequencies, where all that does not depend on it is there already.
+        # Each returns a function of the unknown at the frequencies w, with what does not depend on it computed once.
         def turned(w: np.ndarray, sign: float) -> Callable[[np.ndarray], np.ndarray]:
             loop = self.matrix(w, rows)
             return lambda y: np.linalg.det(unit + np.exp(-1j * sign * y)[..., None, None] * loop)
@@ -146,25 +143,25 @@ class SeveralRates:
             return lambda y: np.linalg.det(unit + np.exp(y)[..., None, None] * loop)
 
         for start, at, side, angle in zip(w, place, sign, lag, strict=True):
-            true, phase = self._followed(turned, start, angle, side)
-            self._keep(found, "phase_margin_deg", np.degrees(phase), "crossover", np.abs(at) + side * (true - start))
-            _, samples = self._followed(later, start, angle / abs(at) / self.plant.period, side)
-            self._keep(found, "delay_margin", self.plant.period * samples)
+            true, phase = self._roots(turned, start, angle, side)
+            self._keep(margins, "phase_margin_deg", np.degrees(phase), "crossover", np.abs(at) + side * (true - start))
+            _, samples = self._roots(later, start, angle / abs(at) / self.plant.period, side)
+            self._keep(margins, "delay_margin", self.plant.period * samples)
         w, value, place = self._crossings(lambda values: np.where(values.real < 0.0, np.sin(np.angle(values)), 1.0))
-        for start, one, at in zip(w, value, place, strict=True):
-            if one.real < 0.0:
-                true, gain = self._followed(more, start, math.log(-1.0 / one.real), 1.0)
-                self._keep_gain(found, np.exp(gain), np.abs(at) + math.copysign(1.0, at) * (true - start))
+        for start, eigenvalue, at in zip(w, value, place, strict=True):
+            if eigenvalue.real < 0.0:
+                true, gain = self._roots(more, start, math.log(-1.0 / eigenvalue.real), 1.0)
+                self._keep_gain(margins, np.exp(gain), np.abs(at) + math.copysign(1.0, at) * (true - start))
         last = np.linalg.eigvals(self.matrix(np.full(count, self._end), rows))
-        for one in last.T:
-            real = np.abs(one.imag) < 1e-6 * np.abs(one)
-            gain = np.where(real & (one.real < 0.0), -1.0 / one.real, np.nan)
-            self._keep_gain(found, gain, np.full(count, self._end))
-        return found, stable_loops(self.grid, on_grid)
+        for eigenvalue in last.T:
+            real = np.abs(eigenvalue.imag) < 1e-6 * np.abs(eigenvalue)
+            gain = np.where(real & (eigenvalue.real < 0.0), -1.0 / eigenvalue.real, np.nan)
+            self._keep_gain(margins, gain, np.full(count, self._end))
+        return margins, stable_loops(self.grid, on_grid)
 
     def _crossings(self, sign_of: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where ``sign_of`` the eigenvalues of the first row changes: frequency, eigenvalue and the frequency of the
-        plant that takes the largest part in it, (k,) each."""
+        """Where ``sign_of`` the eigenvalues of the first row changes: frequency, eigenvalue and the frequency of its
+        largest component, (k,) each."""
         values, places = self.loci(0)
         sign = sign_of(values)
         at, which = np.nonzero((sign[1:] < 0.0) != (sign[:-1] < 0.0))
@@ -174,13 +171,13 @@ class SeveralRates:
         w = self.grid[at] * (1.0 - share) + self.grid[at + 1] * share
         return w, value, places[at, which]
 
-    def _followed(
+    def _roots(
         self, gap: Callable[[np.ndarray, float], Callable[[np.ndarray], np.ndarray]], w: float, y: float, sign: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Roots of ``gap(w, sign)(y)`` in every row, by Newton's rule from the same start; NaN where none is."""
+        """Roots (w, y) of ``gap(w, sign)(y)`` in every row, by Newton's method from the same start; NaN without one."""
         count, small = len(self.plant.rows), 1e-6
         x, value = np.full(count, math.log(w)), np.full(count, y)
-        left = np.full(count, np.inf + 0j)
+        residual = np.full(count, np.inf + 0j)
         for _ in range(TURNS):
             here = gap(np.exp(x), sign)
             now = here(value)
@@ -190,35 +187,35 @@ class SeveralRates:
             with np.errstate(divide="ignore", invalid="ignore"):
                 step_x = (now.imag * by_y.real - now.real * by_y.imag) / determinant
                 step_y = (now.real * by_x.imag - now.imag * by_x.real) / determinant
-                left = now / np.abs(by_y)
-            if np.all(np.abs(left) < FOUND):
+                residual = now / np.abs(by_y)
+            if np.all(np.abs(residual) < FOUND):
                 break
             x = np.minimum(x + np.clip(np.nan_to_num(step_x), -0.05, 0.05), math.log(self._end))
             value = np.maximum(value + np.clip(np.nan_to_num(step_y), -0.2, 0.2), -1e3)
-        good = np.abs(left) < math.sqrt(FOUND)
+        good = np.abs(residual) < math.sqrt(FOUND)
         return np.where(good, np.exp(x), np.nan), np.where(good, value, np.nan)
 
     @staticmethod
-    def _keep(found: dict[str, np.ndarray], key: str, value: np.ndarray, beside: str = "", w: Any = 0.0) -> None:
-        """Keep positive values of ``key`` that are smaller, and what stands ``beside`` them."""
-        smaller = (value > 0.0) & ~(value >= found[key])
-        found[key] = np.where(smaller, value, found[key])
+    def _keep(margins: dict[str, np.ndarray], key: str, value: np.ndarray, beside: str = "", w: Any = 0.0) -> None:
+        """Replace the margins ``key`` by smaller positive ones, and the entries ``beside`` them by ``w``."""
+        smaller = (value > 0.0) & ~(value >= margins[key])
+        margins[key] = np.where(smaller, value, margins[key])
         if beside:
-            found[beside] = np.where(smaller, w, found[beside])
+            margins[beside] = np.where(smaller, w, margins[beside])
 
-    def _keep_gain(self, found: dict[str, np.ndarray], gain: np.ndarray, w: np.ndarray) -> None:
-        self._keep(found, "gain_margin", np.where(gain > 1.0, gain, np.nan), "gain_margin_frequency", w)
+    def _keep_gain(self, margins: dict[str, np.ndarray], gain: np.ndarray, w: np.ndarray) -> None:
+        self._keep(margins, "gain_margin", np.where(gain > 1.0, gain, np.nan), "gain_margin_frequency", w)
 
     def sensitive(self, row: int) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies (n,) [rad/s] and the loop of one rate (n,) that would have the sensitivity of a row there."""
+        """Frequencies (n,) [rad/s] and the single-rate loop (n,) with the same sensitivity as a row."""
         through = np.diagonal(np.linalg.inv(np.eye(self.law.cycle) + self.matrix(self.grid, row)), axis1=-2, axis2=-1)
         w = np.abs(self._places(self.grid)).ravel()
         order = np.argsort(w)
         return w[order], (1.0 / through - 1.0).ravel()[order]
 
     def loci(self, row: int) -> tuple[np.ndarray, np.ndarray]:
-        """The eigenvalues (g, N) of a row on the grid, largest first, and the frequency of the plant [rad/s] that
-        takes the largest part in each, negative beyond the Nyquist frequency."""
+        """Eigenvalues (g, N) of a row on the grid, largest first, and the frequency [rad/s] of the largest component of
+        each, negative beyond the Nyquist frequency."""
         values, vectors = np.linalg.eig(self.matrix(self.grid, row))
         order = np.argsort(-np.abs(values), axis=-1)
         largest = np.argmax(np.abs(vectors), axis=-2)
@@ -242,12 +239,12 @@ class MeasuredMargins:
     warnings: tuple[str, ...] = ()
 
     def loop(self, name: str) -> NestedLoop:
-        """These margins as those of the loop of that ``name``, to be judged with others."""
+        """The margins as a :class:`NestedLoop` of that ``name``."""
         own = {key: self.values[key] for key in (*CROSSINGS, "disk_margin")}
         return NestedLoop(name, PLANT_INPUT, Margins(stable=self.stable, **own), {"response": self.name})
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data; the disk margin also as gain and phase alone."""
+        """Plain data; the disk margin also as a gain and as a phase."""
         a = self.values["disk_margin"]
         disk = None
         if a is not None:
@@ -267,15 +264,15 @@ class MeasuredMargins:
 def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS) -> MeasuredMargins:
     """Return the margins of the controller of ``axis`` around the plant measured in ``response``.
 
-    Raises :class:`InputError` for lines at or beyond the Nyquist frequency of ``axis``. For a law of several rates the
-    factors are the same in all samples, and fewer draws are made.
+    For a law of several rates, gain and phase change in all samples alike, and fewer draws are made. Raises
+    :class:`InputError` for lines at or beyond the Nyquist frequency of ``axis``.
 
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2019").replace(mechanics={"viscous": 0.0})
     >>> f = np.geomspace(2.0, 300.0, 120)
     >>> mass = FrequencyResponse.of(f, 1.0 / (2j * np.pi * f * axis.mechanics.mass), np.full(120, 0.01))
-    >>> found = measured_margins(mass, axis)
-    >>> found.stable, round(found.values["phase_margin_deg"], 1)
+    >>> margins = measured_margins(mass, axis)
+    >>> margins.stable, round(margins.values["phase_margin_deg"], 1)
     (True, 34.0)
     """
     period = axis.sampling.period
@@ -283,13 +280,13 @@ def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS
     drawn = draws // law.cycle if np.any(response.std > 0.0) else 0
     random = np.random.default_rng(SEED)
     noise = random.standard_normal((2, drawn, len(response))) / math.sqrt(2.0)
-    itself = np.ones((1, len(response)))  # first by a spline, last by straight lines
+    itself = np.ones((1, len(response)))  # the first row is interpolated by a spline, the last linearly
     rows = response.response * np.concatenate([itself, 1.0 + response.std * (noise[0] + 1j * noise[1]), itself])
     plant = MeasuredPlant.of(response, axis, rows, law_peaks(law, period))
     grid = plant.grid
     if law.cycle > 1:
         several = SeveralRates(plant, law)
-        found, stable = several.margins()
+        margins, stable = several.margins()
         ends = [(*several.sensitive(row), *map(np.ravel, several.loci(row))) for row in (0, -1)]
     else:
         L = -law_response(law, grid, period) * plant.position(grid[None], np.arange(len(rows))[:, None])
@@ -299,16 +296,16 @@ def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS
                 return L
             return -law_response(law, w, period) * plant.position(w, which, delay)
 
-        found = margin_arrays(loop, len(rows), grid, math.pi / period, loop)
+        margins = margin_arrays(loop, len(rows), grid, math.pi / period, loop)
         stable = stable_loops(grid, L)
         ends = [(grid, L[row], L[row], grid) for row in (0, -1)]
-    values = {name: _number(found[name][0]) if stable[0] else None for name in CROSSINGS}
-    bands = {name: _band(found[name]) if drawn and stable[0] else None for name in CROSSINGS}
-    first = next((one.frequency for one in resonances(response) if one.kind == "antiresonance"), None)
+    values = {name: _number(margins[name][0]) if stable[0] else None for name in CROSSINGS}
+    bands = {name: _band(margins[name]) if drawn and stable[0] else None for name in CROSSINGS}
+    first = next((resonance.frequency for resonance in resonances(response) if resonance.kind == "antiresonance"), None)
     curved, straight = (_peaks(w, L, loci, places, response, first) for w, L, loci, places in ends)
     for name, (value, band) in curved.items():
         values[name] = value if stable[0] else None
-        both = [one for one in (band, straight[name][1]) if one is not None]
+        both = [interval for interval in (band, straight[name][1]) if interval is not None]
         bands[name] = (
             (min(low for low, _ in both), max(high for _, high in both)) if drawn and stable[0] and both else None
         )
@@ -325,8 +322,8 @@ def _peaks(
     response: FrequencyResponse,
     antiresonance: float | None,
 ) -> dict[str, tuple[float | None, tuple[float, float] | None]]:
-    """Disk margin and sensitivity peaks with their bands: of the loop ``L`` (n,) at ``w`` (n,) [rad/s] the sensitivity,
-    of ``loci`` (m,), at ``places`` (m,) of the plant, the disk margin."""
+    """Disk margin and sensitivity peaks with their bands: the sensitivity of the loop ``L`` (n,) at ``w`` (n,) [rad/s],
+    the disk margin of the eigenvalues ``loci`` (m,) at ``places`` (m,) [rad/s]."""
 
     def moved(w: np.ndarray, L: np.ndarray) -> np.ndarray:
         std = np.interp(np.abs(w), response.w, response.std)
@@ -346,21 +343,18 @@ def _peaks(
 
 
 def worst_of(margins: Sequence[MeasuredMargins]) -> dict[str, float | None]:
-    """The worst of each margin over several responses: loads, places, directions.
-
-    A loop that is unstable has none, and then they have none together.
-    """
-    if not all(one.stable for one in margins):
+    """The worst of each margin over several responses: loads, places, directions; None where a loop is unstable."""
+    if not all(loop.stable for loop in margins):
         return dict.fromkeys(NAMES)
     worst: dict[str, float | None] = {}
     for name in NAMES:
-        known = [value for one in margins if (value := one.values[name]) is not None]
+        known = [value for loop in margins if (value := loop.values[name]) is not None]
         worst[name] = (max(known) if name in LARGEST_IS_WORST else min(known)) if known else None
     return worst
 
 
 def over_limits(values: Mapping[str, Any], limits: Mapping[str, float]) -> list[str]:
-    """Return, in words, which sensitivity peaks of ``values`` exceed their ``limits``, both ratios by their names.
+    """Return a sentence for each sensitivity peak of ``values`` above its limit; both are ratios by name.
 
     >>> over_limits({"sensitivity_peak_below": 2.31, "sensitivity_peak_above": 1.2}, {"sensitivity_peak_below": 2.0})
     ['the largest sensitivity below the first antiresonance is 2.31, asked for at most 2']
@@ -374,14 +368,14 @@ def over_limits(values: Mapping[str, Any], limits: Mapping[str, float]) -> list[
 
 
 def measured_document(margins: Sequence[MeasuredMargins], limits: Mapping[str, float]) -> dict[str, Any]:
-    """What ``gains`` says about the loop on the measured plants: the worst beside the ``limits``, and each."""
-    one = margins[0] if len(margins) == 1 else None
+    """The document of ``gains`` on measured plants: the worst margins beside the ``limits``, and those of each."""
+    only = margins[0] if len(margins) == 1 else None
     return {
-        "stable": all(found.stable for found in margins),
+        "stable": all(loop.stable for loop in margins),
         **({"requested": dict(limits)} if limits else {}),
         **worst_of(margins),
-        "bands": one.to_dict()["bands"] if one else None,
-        "responses": [found.to_dict() for found in margins],
+        "bands": only.to_dict()["bands"] if only else None,
+        "responses": [loop.to_dict() for loop in margins],
     }
 
 
@@ -390,7 +384,7 @@ def _number(value: Any) -> float | None:
 
 
 def _band(values: np.ndarray) -> tuple[float, float] | None:
-    """The interval around the first of ``values`` from the others; None where too few have one."""
+    """The interval around the first of ``values`` from the draws after it; None where fewer than half are finite."""
     drawn = values[1:][np.isfinite(values[1:])]
     if not math.isfinite(values[0]) or drawn.size < 0.5 * (values.size - 1):
         return None
@@ -406,7 +400,7 @@ def _words(
     size: np.ndarray,
     grid: np.ndarray,
 ) -> list[str]:
-    """What the data cannot say."""
+    """Warnings: an unstable loop, and margins beyond the data."""
     words = list(response.warnings)
     low, high = float(response.w[0]), float(response.w[-1])
     if not stable:

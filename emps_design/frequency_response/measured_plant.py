@@ -1,17 +1,16 @@
-"""A measured response in the place of a sampled plant, and the linear law in front of it.
-
-Between what a drive samples and the continuous plant: the hold, the difference and the aliases.
+"""A measured response as a sampled plant, and the frequency response of the linear law in front of it.
 
 A command u[k] is held over a period T and the position is read at the samples. With P(s) = G(s)/s from force to
 position, the sampled response is the sum over all aliases of the band,
 
     Q/F = (1/T) sum_n P(s_n) (1 - e^{-s_n T}) / s_n,    s_n = j (w + 2 pi n / T).
 
-The term n = 0 is what one wants to know; hold and difference are divided out of it exactly. The others cannot be
-measured apart from it. They fall with the third power of the frequency, and a plant ends as a mass m on the encoder's
-side: P = 1/(m s^2) has the sum in closed form. With x = w T/2 it is x^3 cos(x) / sin(x)^3 times its own term n = 0, so
-(that ratio - 1) / (j w m) is what the aliases add to G. It is 0.07 % of the mass line at a fifth of the Nyquist
-frequency and 3 % at half of it. Source: K. J. Astrom and B. Wittenmark, Computer-Controlled Systems, chapters 2 and 7.
+The term n = 0 holds the continuous response: hold and difference are divided out of it exactly. The aliases, the other
+terms, cannot be measured apart from it. They fall with the third power of the frequency, and at high frequency a plant
+is the mass m on the encoder's side: for P = 1/(m s^2) the sum has a closed form. With x = w T/2 it is x^3 cos(x) /
+sin(x)^3 times its term n = 0, so the aliases add (x^3 cos(x) / sin(x)^3 - 1) / (j w m) to G. That is 0.07 % of the mass
+line at a fifth of the Nyquist frequency and 3 % at half of it. Source: K. J. Astrom and B. Wittenmark,
+Computer-Controlled Systems, chapters 2 and 7.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from emps_design.errors import InputError
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.laws.linear import LinearLaw
 
-ALIASES = 4  # on either side that are looked at
+ALIASES = 4  # on either side that are counted
 TOP_SHARE = 0.6  # the mass line is read from the lines above this share of the highest one
 
 BETWEEN = 6  # points of the grid in each interval of the data
@@ -39,9 +38,9 @@ FAR_BELOW = 1e-3  # of the lowest line, where the grid begins
 
 
 def continuous_from_increments(ratio: np.ndarray, w: np.ndarray, period: float, delay: float = 0.0) -> np.ndarray:
-    """Force to velocity, aliases still in it, from ``ratio`` (n,), position increment over held force [m/N].
+    """Force to velocity (n,) [m/s/N] with its aliases, from ``ratio`` (n,) [m/N], position increment over held force.
 
-    ``w`` [rad/s], ``period`` [s]; the force comes ``delay`` [s] after its sample.
+    ``w`` [rad/s], ``period`` [s]; the force acts ``delay`` [s] after its sample.
 
     >>> w, T = np.array([10.0]), 1e-3  # a mass of 2 kg: q[k+1] - 2 q[k] + q[k-1] = T^2/4 (u[k] + u[k-1])
     >>> z = np.exp(1j * w * T)
@@ -54,7 +53,7 @@ def continuous_from_increments(ratio: np.ndarray, w: np.ndarray, period: float, 
 
 
 def alias_share(w: np.ndarray, period: float) -> np.ndarray:
-    """What the aliases add to the response of a mass, as a share of it: x^3 cos(x) / sin(x)^3 - 1, x = w T/2.
+    """Aliases of the response of a mass over the response itself: x^3 cos(x) / sin(x)^3 - 1, x = w T/2.
 
     >>> alias_share(np.pi / 1e-3 * np.array([0.2, 0.5]), 1e-3).round(5).tolist()
     [-0.00067, -0.03105]
@@ -64,9 +63,9 @@ def alias_share(w: np.ndarray, period: float) -> np.ndarray:
 
 
 def mass_line(w: np.ndarray, response: np.ndarray, std: np.ndarray, share: Any = 0.0) -> tuple[float, float]:
-    """The inverse mass [1/kg] in which ``response`` (n,) [m/s/N] ends, and the rms by which its top lines differ.
+    """Inverse mass [1/kg] of the top lines of ``response`` (n,) [m/s/N], and their relative rms difference, at most 1.
 
-    ``share`` is :func:`alias_share` where the aliases are still in the response. The difference is relative, at most 1.
+    ``share`` is :func:`alias_share` where the response still has its aliases.
 
     >>> w = np.linspace(100.0, 1000.0, 50)
     >>> inverse, apart = mass_line(w, 1.0 / (4j * w), np.full(50, 0.01))
@@ -86,20 +85,21 @@ def mass_line(w: np.ndarray, response: np.ndarray, std: np.ndarray, share: Any =
 def without_aliases(
     w: np.ndarray, response: np.ndarray, std: np.ndarray, period: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``response`` (n,) [m/s/N] without the aliases of its mass line, and the relative deviation that this leaves (n,).
+    """``response`` (n,) [m/s/N] less the aliases of its mass line, and the relative deviation (n,) by the rest.
 
-    Those of a mass nearly cancel in pairs. A lag or a resonance turns them, and they do not: the deviation is what they
-    all amount to, as the radius of a 95 % circle, times how far a line of the sampling frequency is from the mass line;
-    that of the top lines grows with the frequency at most. Where they end in no mass line all of it is uncertain.
+    The aliases of a mass nearly cancel in pairs; behind a lag or a resonance they do not. The deviation is the sum of
+    all their moduli, as the radius of a 95 % circle, times the relative difference of the plant from a mass at the
+    sampling frequency: that of the top lines, extrapolated in proportion to frequency, at most 1. Without a mass line
+    the aliases are uncertain altogether.
     """
     share = alias_share(w, period)
     inverse, apart = mass_line(w, response, std, share)
-    found = response - share * inverse / (1j * w)
+    corrected = response - share * inverse / (1j * w)
     turns = 2.0 * np.pi / period * np.delete(np.arange(-ALIASES, ALIASES + 1), ALIASES)
     most = np.sum(np.abs(w / (w + turns[:, None])) ** 3, axis=0)
     above = min(1.0, apart * 2.0 * np.pi / period / w[-1])
-    size = inverse / (w * np.abs(found)) if inverse else 1.0
-    return found, above * most * size / BAND
+    size = inverse / (w * np.abs(corrected)) if inverse else 1.0
+    return corrected, above * most * size / BAND
 
 
 def sampled_position(
@@ -109,22 +109,22 @@ def sampled_position(
     delay: np.ndarray | float = 0.0,
     inverse_mass: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Position at the samples over held force at ``w`` [rad/s], from the continuous ``response`` [m/s/N]: (n,) [m/N].
+    """Sampled position over held force (n,) [m/N] at ``w`` [rad/s], from the continuous ``response`` [m/s/N].
 
-    The force comes ``delay`` [s] after its sample, any fraction of a period. ``inverse_mass`` [1/kg] gives the aliases,
-    those of a mass, for which the sampled response behind a fractional delay is known in closed form.
+    The force acts ``delay`` [s] after its sample, any fraction of a period. ``inverse_mass`` [1/kg] adds the aliases of
+    a mass, for which the sampled response behind a fractional delay has a closed form.
     """
     w = np.asarray(w, dtype=float)
     z, late = np.exp(1j * w * period), np.exp(-1j * w * delay)
     held = (1.0 - 1.0 / z) / (1j * w * period)
-    found = response / (1j * w) * held * late
+    position = response / (1j * w) * held * late
     if np.any(inverse_mass):
-        found = found + inverse_mass * (_sampled_mass(z, period, delay) - held * late / (1j * w) ** 2)
-    return found
+        position = position + inverse_mass * (_sampled_mass(z, period, delay) - held * late / (1j * w) ** 2)
+    return position
 
 
 def _sampled_mass(z: np.ndarray, period: float, delay: np.ndarray | float) -> np.ndarray:
-    """Position of a mass of 1 kg over the held force that comes ``delay`` [s] late (modified z-transform)."""
+    """Position of a mass of 1 kg over the held force, ``delay`` [s] late, by the modified z-transform."""
     samples = np.asarray(delay) / period
     whole = np.floor(samples + 1e-9)
     late = np.maximum(samples - whole, 0.0)
@@ -135,11 +135,11 @@ def _sampled_mass(z: np.ndarray, period: float, delay: np.ndarray | float) -> np
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPlant:
-    """A measured response in the place of a sampled plant: from command to what a law reads at the samples.
+    """A measured response as a sampled plant, from command to the position at the samples.
 
-    ``rows`` (m, n) are responses at the lines of ``frequency`` (n,) [rad/s] and ``inverse_mass`` (m,) [1/kg] how each
-    ends; ``gain`` [N/V] and ``delay`` [s] are the drive's and the program's. ``peaks`` are those of the law in front of
-    it, around which the grid is fine.
+    ``rows`` (m, n) are responses at the lines ``frequency`` (n,) [rad/s], ``inverse_mass`` (m,) [1/kg] their mass
+    lines; ``gain`` [N/V] is the drive's, ``delay`` [s] that of the computation. The grid is fine around ``peaks``,
+    those of the law.
     """
 
     frequency: np.ndarray
@@ -163,7 +163,7 @@ class MeasuredPlant:
             )
         data = response.response[None] if rows is None else rows
         std = np.maximum(response.std, 1e-6)
-        masses = np.array([mass_line(response.w, one, std)[0] for one in data])
+        masses = np.array([mass_line(response.w, row, std)[0] for row in data])
         period = axis.sampling.period
         late = axis.sampling.computation_delay * period
         return cls(response.w, data, masses, axis.drive.gain, late, period, peaks)
@@ -172,8 +172,8 @@ class MeasuredPlant:
     def _pieces(self) -> np.ndarray:
         """Coefficients (4, n - 1, m) of the cubics through log(j w G), highest power first.
 
-        The rows differ in how they are interpolated too, from a spline for the first to straight lines for the last: so
-        much is not known between the lines.
+        The interpolation changes from a spline for the first row to straight lines for the last, to reflect the
+        uncertainty between the lines.
         """
         from scipy.interpolate import CubicSpline
 
@@ -188,8 +188,8 @@ class MeasuredPlant:
     def continuous(self, w: np.ndarray, rows: np.ndarray | int = 0) -> np.ndarray:
         """Force to velocity of the ``rows`` at ``w`` [rad/s]; both broadcast.
 
-        Below the lowest line the modulus goes on as that of a mass, and what the phase there differs by from a mass's
-        falls to 0 with ``w``: where friction rules that is up to 90 deg, and :func:`stable_loops` counts from a mass.
+        Below the lowest line the modulus continues as that of a mass. The phase difference to a mass, up to 90 deg
+        where friction dominates, falls to 0 in proportion to ``w``: :func:`stable_loops` counts turns from a mass.
         """
         w = np.asarray(w, dtype=float)
         x = np.log(self.frequency)
@@ -202,15 +202,14 @@ class MeasuredPlant:
         return np.where(w > self.frequency[-1], masses, flat) / (1j * w)
 
     def position(self, w: np.ndarray, rows: np.ndarray | int = 0, delay: np.ndarray | float = 0.0) -> np.ndarray:
-        """Position at the samples over command [m/V] of the ``rows`` at ``w`` [rad/s], ``delay`` [s] more."""
-        found = sampled_position(
+        """Sampled position over command [m/V] of the ``rows`` at ``w`` [rad/s], with a further ``delay`` [s]."""
+        return self.gain * sampled_position(
             w, self.continuous(w, rows), self.period, self.delay + np.asarray(delay), self.inverse_mass[rows]
         )
-        return self.gain * found
 
     @cached_property
     def grid(self) -> np.ndarray:
-        """Frequencies [rad/s] from far below the data up to the Nyquist frequency: lines, some between, peaks."""
+        """Frequencies [rad/s] from far below the data to the Nyquist frequency: lines, points between them, peaks."""
         lines, nyquist = self.frequency, math.pi / self.period
         x = np.log(lines)
         between = np.exp(x[:-1, None] + np.diff(x)[:, None] * np.arange(BETWEEN) / BETWEEN).ravel()
@@ -225,7 +224,7 @@ def law_response(law: LinearLaw, w: np.ndarray, period: float) -> np.ndarray:
     if law.cycle > 1:
         raise InputError(
             f"law: found loops of different rates, the same again after {law.cycle} samples, expected one rate: such a "
-            "law makes other frequencies of one"
+            "law couples frequencies"
         )
     kept = law.used()
     A, b, c = law.A[np.ix_(kept, kept)], law.B[kept, 1], law.C[kept]
@@ -233,7 +232,8 @@ def law_response(law: LinearLaw, w: np.ndarray, period: float) -> np.ndarray:
 
 
 def stable_loops(w: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Whether the loops (m, n) are stable, by the turns of 1 + L; the lowest two frequencies tell the integrators."""
+    """Whether the loops (m, n) are stable, by the turns of 1 + L; the slope at the lowest two frequencies counts the
+    integrators."""
     integrators = np.round(-np.log(np.abs(L[:, 1] / L[:, 0])) / np.log(w[1] / w[0]))
     turned = np.degrees(np.sum(np.angle((1.0 + L[:, 1:]) / (1.0 + L[:, :-1])), axis=1))
     return np.abs(turned - 90.0 * integrators) < 45.0

@@ -1,27 +1,23 @@
-"""A measured frequency response: force to velocity of the continuous plant, with its deviations.
+"""A measured frequency response, force to velocity of the continuous plant, with deviations, files and resonances.
 
-Files of a frequency response: CSV, and MATLAB files with the same names.
-
-A CSV has the columns ``frequency_hz, magnitude, phase_deg, coherence, std``; the first three are needed. A MATLAB file
-(v5, that is ``save -v7`` or ``-v6``, and v7.3) has real arrays with these names, or a structure with what an ``frd``
-object ``sys`` holds, since the object itself is stored in a form that MATLAB alone reads:
+A CSV file has the columns ``frequency_hz, magnitude, phase_deg, coherence, std``; the first three are needed. A MATLAB
+file (v5, that is ``save -v7`` or ``-v6``, and v7.3) has real arrays with these names, or a structure with what an
+``frd`` object ``sys`` holds, since the object itself is stored in a form that MATLAB alone reads:
 
     s = struct('ResponseData', sys.ResponseData, 'Frequency', sys.Frequency, 'FrequencyUnit', sys.FrequencyUnit);
 
-What is written has both, the structure as ``response``. Back in MATLAB:
+Written MATLAB files have both, the structure as ``response``. Back in MATLAB:
 
     sys = frd(response.ResponseData, response.Frequency, 'FrequencyUnit', response.FrequencyUnit);
 
-Resonances and antiresonances of a measured response, with their deviations.
+Resonances. Around each peak of |j w G| that exceeds its flanks by more than the deviations explain, a rational function
+of frequency, a parabola over a straight line with complex coefficients, is fitted to the response; around each dip, to
+its inverse. The root of the denominator is the pole, or the zero: its real part is the natural frequency, its imaginary
+part gives the damping, which is never negative on a machine. The fit is an iterated linear one, weighted by the last
+denominator (C. K. Sanathanan and J. Koerner, IEEE Trans. Automatic Control 8, 1963). Where dry friction makes the
+response rough, a single line that stands out is no peak, and the misfit raises the deviation.
 
-Around each peak of |j w G| that stands out of what is usual beside it by more than the deviations explain, a parabola
-in frequency over a straight line, with complex coefficients, is fitted to the response; around each dip, to its
-inverse. The root of the line is the pole, or the zero: its real part in frequency is the natural frequency, its
-imaginary part the damping, which no machine has below 0. The fit is linear once the denominator of the last turn weighs
-the equations (C. K. Sanathanan and J. Koerner, IEEE Trans. Automatic Control 8, 1963). Where the response is rough, as
-dry friction makes it, one line that stands out is no peak, and what the fit leaves raises the deviation.
-
-What the phase of a response says before anything is fitted to it: how late the force comes, and with which sign.
+The phase of the response gives the delay of the force and its sign before any fit.
 """
 
 from __future__ import annotations
@@ -52,19 +48,19 @@ RADIANS = {"": 1.0, "rad/s": 1.0, "rad/TimeUnit": 1.0, "Hz": 2.0 * np.pi, "kHz":
 EXPECTED = "expected a frequency response, .csv or .mat"
 
 WEIGHED = 0.1  # relative deviation below which lines weigh alike: resonances turn the phase more than noise
-LOW = 4  # one of so many lines tells the sign
+LOW = 4  # the lowest of so many parts of the lines gives the sign
 
 ORDER = 2
 TURNS = 12
 NARROWEST = 5  # lines on either side of the extreme
 WIDEST = 0.1  # share of its frequency on either side
-SYSTEMATIC = 1e-3  # relative, what the fit may differ from a response by
-CLEAR = 1.3  # ratio to both flanks, as they usually are, that makes an extreme
-ROUGH = 0.05  # deviation from which on one line alone makes none
-FAR = 0.5  # share of the frequency within which the flanks are looked for
+SYSTEMATIC = 1e-3  # relative error of the fit that is always allowed
+CLEAR = 1.3  # least ratio of an extreme to the medians of both flanks
+ROUGH = 0.05  # deviation above which a single line is no extreme
+FAR = 0.5  # share of the frequency that the flanks extend to
 UNLIKELY = 3.0  # deviations by which a damping may be below 0
 VAGUE = 0.02  # share of its frequency; a root that is less certain is none
-BROAD = 0.3  # damping ratio from which on there is no extreme to speak of
+BROAD = 0.3  # damping ratio above which there is no clear extreme
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +68,9 @@ class FrequencyResponse:
     """Lines of a response from force to velocity, in SI units.
 
     ``frequency`` (n,) [Hz] ascending; ``response`` (n,) complex [(m/s)/N]; ``std`` (n,) the standard deviation of the
-    complex number over its modulus: a real and an imaginary part each have it over sqrt(2), and the truth lies within
-    1.73 of them in 95 % of the cases; ``coherence`` (n,) the share of one period's, or one block's, power that repeats.
+    complex number over its modulus: real and imaginary part each have 1/sqrt(2) of it, and the true value lies within a
+    radius of 1.73 ``std`` in 95 % of the cases; ``coherence`` (n,) the share of the power of a period or block that
+    repeats.
 
     >>> w = 2.0 * np.pi * np.array([1.0, 2.0, 4.0, 8.0])
     >>> mass = FrequencyResponse.of(w / (2.0 * np.pi), 1.0 / (3j * w), np.full(4, 0.01))
@@ -92,7 +89,7 @@ class FrequencyResponse:
     def of(
         cls, frequency: Any, response: Any, std: Any = None, coherence: Any = None, name: str = "response"
     ) -> FrequencyResponse:
-        """Build one from arrays, checked; without ``std`` it counts as exact. Raises :class:`InputError`."""
+        """Build a response from arrays; without ``std`` it counts as exact. Raises :class:`InputError`."""
         f, g = np.ravel(np.asarray(frequency, dtype=float)), np.ravel(np.asarray(response, dtype=complex))
         s = np.zeros(f.size) if std is None else np.ravel(np.asarray(std, dtype=float))
         c = np.ones(f.size) if coherence is None else np.ravel(np.asarray(coherence, dtype=float))
@@ -131,7 +128,7 @@ class FrequencyResponse:
 
     @property
     def phase_deg(self) -> np.ndarray:
-        """Phase [deg], without jumps, that of the first line between -270 and 90."""
+        """Unwrapped phase [deg], at the first line between -270 and 90."""
         phase = np.degrees(np.unwrap(np.angle(self.response)))
         return phase - 360.0 * np.ceil((phase[0] - 90.0) / 360.0)
 
@@ -193,7 +190,7 @@ class FrequencyResponse:
 
 
 def write_response(path: str | Path, response: FrequencyResponse) -> None:
-    """Write ``response`` to ``path`` (.csv, or .mat in v5), whole or not at all.
+    """Write ``response`` to ``path`` (.csv, or .mat in v5), completely or not at all.
 
     >>> import tempfile
     >>> f = np.array([1.0, 2.0, 3.0, 4.0])
@@ -225,7 +222,7 @@ def write_response(path: str | Path, response: FrequencyResponse) -> None:
 
 
 def read_response(path: str | Path) -> FrequencyResponse:
-    """Read the response at ``path``; raises :class:`InputError` in one line for anything else."""
+    """Read the response at ``path``; raises :class:`InputError`, a message of one line, for any other content."""
     path = Path(path)
     content = read_bytes(path, MAX_BYTES, EXPECTED)
     if is_v73(content[:4096]):
@@ -260,7 +257,7 @@ def read_response(path: str | Path) -> FrequencyResponse:
 
 
 def _of_frd(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """The columns of the first structure that has the fields of an ``frd`` object; none where there is none."""
+    """The columns of the first structure with the fields of an ``frd`` object; empty without one."""
     name = next((name.removesuffix(".ResponseData") for name in columns if name.endswith(".ResponseData")), None)
     if name is None or f"{name}.Frequency" not in columns:
         return {}
@@ -272,7 +269,7 @@ def _of_frd(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]
         )
     unit = "".join(map(chr, np.ravel(columns.get(f"{name}.FrequencyUnit", np.zeros(0, int))).astype(int)))
     if unit not in RADIANS:
-        known = ", ".join(repr(one) for one in RADIANS if one)
+        known = ", ".join(repr(key) for key in RADIANS if key)
         raise InputError(f"{path}: {name}: found FrequencyUnit {unit!r}, expected one of {known}")
     response = np.ravel(data)
     return {
@@ -283,7 +280,7 @@ def _of_frd(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]
 
 
 def turning_delay(response: FrequencyResponse) -> float:
-    """Return the delay [s] by which the phase of a mass would turn as that of ``response`` does.
+    """Return the delay [s] with which a mass would have the phase slope of ``response``.
 
     >>> w = 2.0 * np.pi * np.arange(1.0, 250.0)
     >>> late = np.exp(-3e-3j * w) / (100j * w + 200.0)
@@ -297,9 +294,9 @@ def turning_delay(response: FrequencyResponse) -> float:
 
 
 def has_wrong_sign(response: FrequencyResponse) -> bool:
-    """Whether the velocity goes against the force at the low lines, whatever the delay.
+    """Whether the velocity opposes the force at the low lines, without regard to the delay.
 
-    There j w G lies between 1/m, a mass, and j w/F, a friction: within 45 degrees about 45.
+    There j w G lies between 1/m, a mass, and j w/F, viscous friction: its phase is within 45 degrees of 45.
 
     >>> f = np.arange(1.0, 50.0)
     >>> [has_wrong_sign(FrequencyResponse.of(f, sign / (100j * f + 200.0))) for sign in (1.0, -1.0)]
@@ -331,42 +328,42 @@ def resonances(response: FrequencyResponse) -> tuple[Resonance, ...]:
     >>> f = np.arange(5.0, 100.0)
     >>> s = 2j * np.pi * f
     >>> two = lambda at: s**2 + 0.04 * 2.0 * np.pi * at * s + (2.0 * np.pi * at) ** 2
-    >>> for one in resonances(FrequencyResponse.of(f, two(30.3) / two(44.7) / s, np.full(f.size, 1e-3))):
-    ...     print(one.kind, round(one.frequency, 1), round(one.damping, 3))
+    >>> for root in resonances(FrequencyResponse.of(f, two(30.3) / two(44.7) / s, np.full(f.size, 1e-3))):
+    ...     print(root.kind, round(root.frequency, 1), round(root.damping, 3))
     antiresonance 30.3 0.02
     resonance 44.7 0.02
     """
     flat = np.abs(response.w * response.response)
-    found = []
+    roots = []
     for kind, size in (("antiresonance", 1.0 / flat), ("resonance", flat)):
         for at in _peaks(size, response.frequency, response.std):
-            one = _root(response, at, kind)
-            if one is not None:
-                found.append(one)
-    return tuple(sorted(found, key=lambda one: one.frequency))
+            root = _root(response, at, kind)
+            if root is not None:
+                roots.append(root)
+    return tuple(sorted(roots, key=lambda root: root.frequency))
 
 
 def _peaks(size: np.ndarray, frequency: np.ndarray, std: np.ndarray) -> list[int]:
-    """Places of the peaks of ``size`` that stand clear of their flanks by more than noise."""
-    found = []
+    """Indices of the peaks of ``size`` that exceed their flanks by more than noise."""
+    places = []
     for at in range(2, size.size - 2):
         near = np.abs(frequency - frequency[at]) <= WIDEST * frequency[at]
         near[max(0, at - NARROWEST) : at + NARROWEST + 1] = True
         if size[at] < np.max(size[near]):
             continue
         far = np.abs(frequency - frequency[at]) <= FAR * frequency[at]
-        left, right = size[:at][far[:at]], size[at + 1 :][far[at + 1 :]]
-        if left.size < 2 or right.size < 2:
+        below, above = size[:at][far[:at]], size[at + 1 :][far[at + 1 :]]
+        if below.size < 2 or above.size < 2:
             continue
         spread = float(np.max(std[max(0, at - 2) : at + 3]))
         height = size[at] if spread < ROUGH else max(size[at - 1], size[at + 1])
-        if height > max(CLEAR, 1.0 + 6.0 * spread) * max(np.median(left), np.median(right)):
-            found.append(at)
-    return found
+        if height > max(CLEAR, 1.0 + 6.0 * spread) * max(np.median(below), np.median(above)):
+            places.append(at)
+    return places
 
 
 def _root(response: FrequencyResponse, at: int, kind: str) -> Resonance | None:
-    """The zero or the pole next to line ``at``; None where it is not there after all."""
+    """The zero or the pole next to line ``at``; None where the fit does not confirm it."""
     f, centre = response.frequency, float(response.frequency[at])
     near = np.abs(f - centre) <= WIDEST * centre
     near[max(0, at - NARROWEST) : at + NARROWEST + 1] = True
@@ -393,6 +390,6 @@ def _root(response: FrequencyResponse, at: int, kind: str) -> Resonance | None:
     std = float(np.sqrt(0.5) * np.linalg.norm(inverse) * abs(root) ** 2) * max(1.0, misfit)
     place = 1.0 + root
     damping = float(place.imag / place.real)
-    if std > VAGUE or abs(damping) > BROAD or damping < -UNLIKELY * std:  # which would swing up by itself
+    if std > VAGUE or abs(damping) > BROAD or damping < -UNLIKELY * std:  # negative damping would be unstable
         return None
     return Resonance(kind, float(centre * place.real), centre * std, abs(damping))

@@ -1,8 +1,7 @@
-"""Gains of the velocity loop with which the loop on the measured plant has the crossover and phase margin asked for.
+"""Retuning on a measured plant: velocity-loop gains for a crossover and phase margin, and a filter of the command.
 
-The same two equations as for the model, :mod:`emps_design.control.velocity.retune`, with the measured response in them.
-
-Whether a filter of the command pays on a measured plant: found on the masses that fit it, tried on the data.
+The gains follow from the same two equations as for the model, :mod:`emps_design.control.velocity.retune`, with the
+measured response. A filter is designed on the masses that fit the response and checked on the data.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ from emps_design.frequency_response.response import FrequencyResponse
 from emps_design.laws.estimators import estimator_response
 from emps_design.laws.library.cascade import Filter
 
-NEAREST = 60  # slower crossovers that are tried for the nearest that works
-MET = 1e-2  # relative deviation of crossover and phase margin
+NEAREST = 60  # slower crossovers that are tried
+MET = 1e-2  # relative tolerance of the phase margin
 
 SIDES = ("without", "with_equal_margins", "with")
 MARGINS = ("phase_margin_deg", "gain_margin", "disk_margin")
@@ -37,7 +36,7 @@ MARGINS = ("phase_margin_deg", "gain_margin", "disk_margin")
 
 @dataclass(frozen=True, eq=False)
 class _Estimated:
-    """A measured plant up to the velocity that a law estimates, as :func:`retuned_gains` asks for it."""
+    """A measured plant up to the velocity that a law estimates, for :func:`retuned_gains`."""
 
     plant: MeasuredPlant
     estimator: Any
@@ -50,8 +49,7 @@ class _Estimated:
     def response(self, w: np.ndarray) -> np.ndarray:
         back = np.exp(-1j * np.asarray(w) * self.period)
         estimate = estimator_response(self.estimator, w, self.period) * (1.0 - back) / self.period
-        found = self.plant.position(w) * estimate
-        return found * filter_response(self.filters, w, self.period)
+        return self.plant.position(w) * estimate * filter_response(self.filters, w, self.period)
 
     def integrator(self, w: np.ndarray) -> np.ndarray:
         return self.period / (1.0 - np.exp(-1j * np.asarray(w) * self.period))
@@ -70,10 +68,10 @@ def retune_on_response(
 ) -> VelocityLoopDesign:
     """Return the design whose loop on the measured plant has ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
 
-    ``at`` says where that loop is broken; ``limits`` are ratios that ``sensitivity_peak_below`` and
-    ``sensitivity_peak_above`` of the first antiresonance may have. :class:`SpecificationError` where no positive gains
-    do it, another crossing has less phase, the loop is unstable or a limit binds, with the nearest slower crossover
-    that works.
+    ``at`` is where the loop is broken; ``limits`` are upper limits of the ratios ``sensitivity_peak_below`` and
+    ``sensitivity_peak_above`` the first antiresonance. Raises :class:`SpecificationError` where the gains would not be
+    positive, another crossing has less phase margin, the loop is unstable or a limit is exceeded; it has the nearest
+    slower crossover that works.
 
     >>> from emps_design.machines import machine
     >>> f = np.geomspace(1.0, 300.0, 200)
@@ -97,17 +95,17 @@ def retune_on_response(
     place = structure.place(at)
 
     def design_of(w: float) -> tuple[VelocityLoopDesign | None, str]:
-        """The design for a crossover ``w`` and what it lacks, in words."""
+        """The design for a crossover ``w`` [rad/s] and its shortcomings in words, "" for none."""
         k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase_margin_deg, place))
         if not np.isfinite(k_v1):
             return None, "the gains would not be positive"
         design = VelocityLoopDesign(
             axis, k_v1, t_v, requested, retuned_at=at, velocity=velocity, structure=structure, filters=filters
         )
-        found = measured_margins(response, design.loop_axis, draws=0)
-        if not found.stable:
+        margins = measured_margins(response, design.loop_axis, draws=0)
+        if not margins.stable:
             return design, "the loop would be unstable"
-        lacks, phase = over_limits(found.values, limits or {}), found.values["phase_margin_deg"]
+        lacks, phase = over_limits(margins.values, limits or {}), margins.values["phase_margin_deg"]
         if place == PLACES[0] and (phase is None or abs(phase / phase_margin_deg - 1.0) >= MET):
             lacks.append("another crossing has less phase margin")
         return design, " and ".join(lacks)
@@ -133,10 +131,10 @@ def suggest_filter_on_response(
     filters: tuple[Filter, ...],
     velocity: float = 0.1,
 ) -> dict[str, Any]:
-    """Return what :func:`suggest_filter` does on the masses that fit ``response``, each side tried on the data.
+    """Return the document of :func:`suggest_filter` for the masses that fit ``response``, checked on the data.
 
-    ``measured`` of a side has ``stable`` and the margins of its gains on the data. A filter with which the loop is
-    unstable there is not suggested.
+    ``measured`` of each design has ``stable`` and its margins on the data. A filter with which the loop is unstable
+    there is not suggested.
 
     >>> import numpy as np
     >>> from emps_design.control.velocity.gains import PI
@@ -144,24 +142,24 @@ def suggest_filter_on_response(
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
     >>> axis, f = machine("emps2018").replace(effects=bent), np.geomspace(1.0, 400.0, 300)
-    >>> found = suggest_filter_on_response(
+    >>> suggestion = suggest_filter_on_response(
     ...     FrequencyResponse.of(f, axis_response(axis, f), np.full(300, 0.01)), machine("emps2018"), 50.0, PI, ()
     ... )
-    >>> found["filter"]["kind"], abs(found["with"]["measured"]["phase_margin_deg"] - 50.0) < 2.0
+    >>> suggestion["filter"]["kind"], abs(suggestion["with"]["measured"]["phase_margin_deg"] - 50.0) < 2.0
     ('notch', True)
     """
     model = ResponseComparison(response, axis).chain.on(axis)
-    found = suggest_filter(model, phase_margin_deg, structure, filters, velocity)
+    suggestion = suggest_filter(model, phase_margin_deg, structure, filters, velocity)
     for name in SIDES:
-        side = found[name]
+        side = suggestion[name]
         if side is None or side["crossover"] is None:
             continue
-        added = () if name == "without" else (Filter(**found["filter"]),)
+        added = () if name == "without" else (Filter(**suggestion["filter"]),)
         design = VelocityLoopDesign(
             axis, side["k_v1"], side["t_v"], {}, velocity=velocity, structure=structure, filters=(*filters, *added)
         )
         on_data = measured_margins(response, design.loop_axis, draws=0)
         side["measured"] = {"stable": on_data.stable, **{key: on_data.values[key] for key in MARGINS}}
-    if found["filter"] is not None and not found["with"]["measured"]["stable"]:
-        found |= {"filter": None, "with_equal_margins": None, "with": None}
-    return {**found, "model": f"the masses that fit {response.name}"}
+    if suggestion["filter"] is not None and not suggestion["with"]["measured"]["stable"]:
+        suggestion |= {"filter": None, "with_equal_margins": None, "with": None}
+    return {**suggestion, "model": f"the masses that fit {response.name}"}

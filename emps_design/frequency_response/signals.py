@@ -1,21 +1,17 @@
-"""What a record says about its own experiment: the instrument, its period, and where the carriage runs steadily.
+"""Signals of a frequency-response record: the instrument, its period, its steps, and the stretches at steady speed.
 
-The instrument is what moves the loop from outside: the ``excitation`` that was added to the controller's output, else
-the increments of the reference. Dry friction is a constant only while the carriage runs one way, so reversals and rests
-in what is used are counted.
+The instrument excites the loop from outside: the ``excitation`` that was added to the controller's output, else the
+increments of the reference. Dry friction is constant only while the carriage runs one way, so reversals and rests in
+the stretches are counted.
 
-What the steps of the encoder add to a spectrum, and how much of that repeats with a periodic excitation.
+Quantisation. The encoder reads x + e(x), e a sawtooth of one step d with variance d^2/12. Under a periodic excitation
+the carriage advances by a distance a in each period. The m-th harmonic of the sawtooth, with power proportional to
+1/m^2, then turns by m a/d: its share that repeats in P periods is (sin(pi P x)/(P sin(pi x)))^2 with x = m a/d. At an
+advance of whole steps all of e repeats: it falls on the excited lines, and the lines between, from which the noise is
+estimated, do not show it. Source: W. R. Bennett, Bell System Technical Journal 27, 1948 (the spectrum of e).
 
-The encoder says x + e(x), e a sawtooth of one step d, of variance d^2/12. Under a periodic excitation the carriage is,
-a period later, where it was, further by an advance a. The m-th harmonic of the sawtooth, of a power that goes with
-1/m^2, has then turned by m a/d: its share of P periods that repeats is (sin(pi P x)/(P sin(pi x)))^2 with x = m a/d.
-At an advance of whole steps all of e repeats: it falls on the excited lines, and the lines between, which tell the
-noise, know nothing of it. Source: W. R. Bennett, Bell System Technical Journal 27, 1948 (the spectrum of e).
-
-The steps of a stepped sine, from the instrument alone: runs of a single sine, with pauses between them.
-
-The instrument is free of noise, so the frequency of each run is known to many digits, and with it the number of samples
-after which the sine repeats.
+Stepped sine. Its steps are runs of a single sine in the instrument, with pauses between them. The instrument is free of
+noise, so the frequency of each run, and the number of samples after which it repeats, are exact to many digits.
 """
 
 from __future__ import annotations
@@ -30,37 +26,37 @@ from emps_design.records import Record
 from emps_design.stretches import stretches
 
 HARMONICS = 64  # of the sawtooth
-OFFSETS = 16  # of the carriage within a step, over which is averaged
+OFFSETS = 16  # positions of the carriage within a step that are averaged
 NEAR = 9  # neighbouring lines over which the powers are averaged
-WHOLE_STEPS = 0.05  # of a step, by which an increment may miss whole steps
-MOST = 0.01  # share of the increments that may miss them by more
+WHOLE_STEPS = 0.05  # of a step, largest distance of an increment from whole steps
+MOST = 0.01  # share of the increments that may be further off
 CANDIDATE_STEPS = 24  # distances between increments that are tried as the step
 MOST_INCREMENTS = 1 << 16  # increments
-CLEAR = 10.0  # times the power of steps that all repeat, from which on a line is motion
-TINY = 1e-3  # share of the noise below which quantisation is not looked at
+CLEAR = 10.0  # times the power of steps that all repeat, above which a line is motion
+TINY = 1e-3  # share of the noise below which quantisation is neglected
 
-ACTIVE = 1e-4  # of the largest change from sample to sample, what counts as one
+ACTIVE = 1e-4  # of the largest change from sample to sample, above which the instrument is active
 HOLE = 16  # samples without change inside a run: the extremes of a slow sine
 SHORTEST_RUN = 32  # samples of a run
 PURE = 1e-3  # share of its power by which a run may differ from a sine
 EVEN = 1e-2  # share of its amplitude by which a sine may differ a block later
 WHOLE_PERIODS = 1e-5  # of a period, by which a block may miss whole periods
-SETTLING = 5  # one of so many parts of a step is for the loop to settle in
+SETTLING = 5  # the first of so many parts of a step is for the loop to settle
 FEWEST_LINES = 4  # different lines, or one
-MOST_OF_A_RUN = 1 << 16  # samples that tell whether a run is a sine
+MOST_OF_A_RUN = 1 << 16  # samples of a run that are tested for a sine
 
 EXCITATION, REFERENCE, COMMAND = INSTRUMENTS = ("excitation", "reference", "command")
 SAME = 1e-3  # share of its power by which one period may differ from the next
 STEADY = 2e-3  # share of the highest speed by which a reference may differ a period later
 SHORTEST = 8  # samples of a period
 FEWEST = 64  # samples of a stretch
-CORRELATED = 0.4  # of two periods in a row at least half is the same again one period later
-CANDIDATES = 100  # lags that are looked at
-LOOKED_AT = 1 << 20  # samples in which the period of a long record shows, or it has none
+CORRELATED = 0.4  # least correlation at the period: of two periods, half of the samples have a partner
+CANDIDATES = 100  # lags that are tried
+LOOKED_AT = 1 << 20  # samples in which a period is sought
 
 
 def repeated_share(advance: np.ndarray | float, periods: int) -> np.ndarray:
-    """The share of the quantisation's power that repeats in ``periods``, at an ``advance`` (...) in steps by period.
+    """Share (...) of the quantisation power that repeats over ``periods``, at an ``advance`` (...) [steps per period].
 
     >>> repeated_share(np.array([17.0, 17.5, 17.618]), 4).round(2).tolist()
     [1.0, 0.25, 0.1]
@@ -73,7 +69,7 @@ def repeated_share(advance: np.ndarray | float, periods: int) -> np.ndarray:
 
 
 def encoder_step(dq: np.ndarray) -> float:
-    """The step [m] that all increments ``dq`` (n,) are whole numbers of, 0 where there is none.
+    """The encoder step [m] of which all increments ``dq`` (n,) are multiples, 0 for none.
 
     >>> steps = np.random.default_rng(0).integers(-40, 40, 200)
     >>> round(encoder_step(2.5e-6 * steps + 1e-12) * 1e6, 6), encoder_step(np.sin(np.arange(99.0)))
@@ -88,7 +84,7 @@ def encoder_step(dq: np.ndarray) -> float:
         return 0.0
     tried = np.unique(np.quantile(gaps, np.linspace(0.0, 1.0, CANDIDATE_STEPS), method="nearest"))[::-1]
     for step in map(float, tried):
-        for most in (2.0, 8.0, 32.0, 128.0, np.inf):  # a step that is not quite right is told from few of them first
+        for most in (2.0, 8.0, 32.0, 128.0, np.inf):  # small multiples first refine an inexact step
             near = away[np.abs(away) < most * step]
             whole = np.rint(near / step)
             if np.any(whole):
@@ -102,12 +98,12 @@ def encoder_step(dq: np.ndarray) -> float:
 def quantised(
     dq: np.ndarray, periods: int, at: np.ndarray, excited: np.ndarray, noise: np.ndarray, step: float
 ) -> tuple[np.ndarray, float]:
-    """What repeated quantisation adds to the power (m,) of the spectrum of increments ``dq`` (n,) at the lines ``at``,
-    beyond the ``noise`` (m,) between them, and the power that repeats over what would by chance.
+    """Power (m,) that repeated quantisation adds to the spectrum of increments ``dq`` (n,) at the lines ``at``, beyond
+    the ``noise`` (m,) between them, and the ratio of the power that repeats to what would repeat by chance.
 
-    The motion is built of the ``excited`` (m,) lines, of what the mean position of each period says, and of noise like
-    that between the lines; it is rounded to steps at several places within one, and the spectra of what rounding adds
-    are averaged. Spectra are sums over the samples, over their number.
+    The motion is reconstructed from the ``excited`` (m,) lines, the mean position of each period, and noise like that
+    between the lines. It is rounded to steps at several offsets, and the spectra of the rounding errors are averaged.
+    Spectra are normalised by the number of samples.
     """
     from scipy.fft import irfft, rfft
 
@@ -119,14 +115,14 @@ def quantised(
     spectrum = rfft(dq) / size
     between = np.ones(turn.size, dtype=bool)
     between[:: at[0]] = False  # the first line is the base period's
-    kept, seen = np.zeros(turn.size, complex), at[excited & (np.abs(spectrum[at]) ** 2 > CLEAR * periods * white)]
-    kept[seen] = spectrum[seen] / (1.0 - np.exp(-2j * np.pi * seen / size))
+    kept, clear = np.zeros(turn.size, complex), at[excited & (np.abs(spectrum[at]) ** 2 > CLEAR * periods * white)]
+    kept[clear] = spectrum[clear] / (1.0 - np.exp(-2j * np.pi * clear / size))
     position, moved = np.cumsum(dq), irfft(kept * size, size)
     moved += _drift(position - moved, periods)
-    unsure = step * np.sqrt(_unsure((position - moved) / step, periods) / (12.0 * size))
+    spread = step * np.sqrt(_noise_power((position - moved) / step, periods) / (12.0 * size))
     random, power, levels = np.random.default_rng(0), np.zeros(turn.size), np.zeros(OFFSETS)
     for i in range(OFFSETS):
-        noisy = unsure * np.exp(2j * np.pi * random.random(turn.size))
+        noisy = spread * np.exp(2j * np.pi * random.random(turn.size))
         x = (moved + irfft(noisy * size, size)) / step + i / OFFSETS
         rounded = np.abs(rfft(np.rint(x) - x)) ** 2 * 12.0 / size  # over what is white
         power += rounded / OFFSETS
@@ -135,42 +131,42 @@ def quantised(
     on = power[at]
     for alike in (excited, ~excited):  # what is odd answers odd lines with odd ones
         on[alike] = _mean_of(on[alike], NEAR) if np.any(alike) else on[alike]
-    # Where the carriage is within a step nobody knows. Rounding is odd, or even, about two places each: the worst is
-    # as far above the mean as the second harmonic says.
+    # The offset of the carriage within a step is unknown. Rounding is odd, or even, about two offsets each, so the
+    # second harmonic over the offsets gives the excess of the worst one over the mean.
     worst = 1.0 + 2.0 * float(np.abs(np.fft.rfft(levels)[2])) / float(np.sum(levels))
     return worst * np.maximum(on - off, 0.0) * white, float(np.mean(on[excited]))
 
 
-def _unsure(left: np.ndarray, periods: int) -> np.ndarray:
-    """The power (n // 2 + 1,) over that of white steps of the noise in ``left`` (n,), by which periods differ.
+def _noise_power(residual: np.ndarray, periods: int) -> np.ndarray:
+    """Power (n // 2 + 1,) of the noise in ``residual`` (n,) over that of white quantisation, from how periods differ.
 
-    It is what stands clearly above the steps and spreads the carriage over them, so that less of these repeats. Of the
-    differences from one period to the next the median is taken, since the last often has the end of the excitation in
-    it.
+    Only noise clearly above the quantisation counts: it spreads the carriage over the steps, so that less of them
+    repeats. The median of the differences between successive periods is taken, since the last period often contains
+    the end of the excitation.
     """
     from scipy.fft import rfft
 
-    gaps = np.diff(rfft(left.reshape(periods, -1), axis=1), axis=0)
-    power = 0.5 * np.abs(gaps) ** 2 * 12.0 * periods / left.size
+    gaps = np.diff(rfft(residual.reshape(periods, -1), axis=1), axis=0)
+    power = 0.5 * np.abs(gaps) ** 2 * 12.0 * periods / residual.size
     usual = np.median(power, axis=0) / np.log(2.0) if periods > 3 else np.mean(power, axis=0)
     level = _mean_of(usual, NEAR)
     above = np.where(level > 1.0 + 4.0 / np.sqrt(NEAR * (periods - 1)), level - 1.0, 0.0)
-    found = np.interp(np.arange(left.size // 2 + 1), np.arange(above.size) * periods, above)
-    found[:periods] = 0.0  # which the means of the periods have
-    return found
+    by_line = np.interp(np.arange(residual.size // 2 + 1), np.arange(above.size) * periods, above)
+    by_line[:periods] = 0.0  # the means of the periods hold these
+    return by_line
 
 
 def _drift(position: np.ndarray, periods: int) -> np.ndarray:
-    """The straight lines (n,) through the mean ``position`` (n,) of each period, which excitation has no part in."""
+    """Straight lines (n,) through the mean ``position`` (n,) of each period, without the excitation."""
     samples = position.size // periods
     middle = (np.arange(periods) + 0.5) * samples - 0.5
     means = position.reshape(periods, samples).mean(axis=1)
     k = np.arange(position.size)
     slope = np.diff(means) / samples
-    found = np.interp(k, middle, means)
-    found[k < middle[0]] += slope[0] * (k[k < middle[0]] - middle[0])
-    found[k > middle[-1]] += slope[-1] * (k[k > middle[-1]] - middle[-1])
-    return found
+    drift = np.interp(k, middle, means)
+    drift[k < middle[0]] += slope[0] * (k[k < middle[0]] - middle[0])
+    drift[k > middle[-1]] += slope[-1] * (k[k > middle[-1]] - middle[-1])
+    return drift
 
 
 def _mean_of(power: np.ndarray, lines: int) -> np.ndarray:
@@ -182,7 +178,7 @@ def _mean_of(power: np.ndarray, lines: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Step:
-    """Samples from ``start`` to ``stop`` (excluded) hold a sine that makes ``turns`` periods in every ``samples``."""
+    """A sine from sample ``start`` to ``stop`` (excluded), with ``turns`` periods in every ``samples``."""
 
     start: int
     stop: int
@@ -191,9 +187,9 @@ class Step:
 
 
 def steps_of(r: np.ndarray) -> tuple[Step, ...]:
-    """The steps in the instrument ``r`` (n,); none where there are two or three lines, or most of it is no sine.
+    """The steps in the instrument ``r`` (n,); none where most of it is no sine, or with two or three different lines.
 
-    One line is a step of an experiment with one record for each.
+    A single line is accepted, for experiments with one record per line.
 
     >>> (one,) = steps_of(np.sin(0.02 * np.pi * np.arange(1000)))
     >>> one.turns / one.samples
@@ -205,22 +201,22 @@ def steps_of(r: np.ndarray) -> tuple[Step, ...]:
         return ()
     breaks = np.flatnonzero(np.diff(active) > HOLE)
     firsts, lasts = active[np.concatenate([[0], breaks + 1])], active[np.concatenate([breaks, [active.size - 1]])] + 1
-    found, others = [], 0
+    steps, others = [], 0
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
         step = _step(r, first, last) if last - first >= SHORTEST_RUN else None
         if step is not None:
-            found.append(step)
+            steps.append(step)
         else:
             others += last - first
-        if others > MOST_OF_A_RUN and not found:
+        if others > MOST_OF_A_RUN and not steps:
             return ()
-    different = {round(step.turns / step.samples, 9) for step in found}
-    stepped = sum(step.stop - step.start for step in found)
-    return tuple(found) if (len(different) >= FEWEST_LINES or len(different) == 1) and stepped > others else ()
+    different = {round(step.turns / step.samples, 9) for step in steps}
+    stepped = sum(step.stop - step.start for step in steps)
+    return tuple(steps) if (len(different) >= FEWEST_LINES or len(different) == 1) and stepped > others else ()
 
 
 def _step(r: np.ndarray, first: int, last: int) -> Step | None:
-    """The even part of the run from ``first`` to ``last``; None where it is no sine of two periods or more."""
+    """The steady part of the run from ``first`` to ``last``; None where it is no sine of two periods or more."""
     fifth = (last - first) // 5
     middle = r[first + fifth : last - fifth][:MOST_OF_A_RUN]
     frequency = _frequency(middle)
@@ -242,7 +238,7 @@ def _step(r: np.ndarray, first: int, last: int) -> Step | None:
 
 
 def _frequency(sine: np.ndarray) -> float | None:
-    """Periods by sample of a ``sine`` (n,) on a constant, by least squares; None where it is none.
+    """Frequency [periods per sample] of a ``sine`` (n,) plus a constant, by least squares; None where it is no sine.
 
     >>> round(_frequency(0.3 + np.sin(0.7 * np.arange(200.0))) * 2.0 * np.pi, 9)
     0.7
@@ -260,16 +256,17 @@ def _frequency(sine: np.ndarray) -> float | None:
         w += float(np.linalg.lstsq(rows, sine, rcond=None)[0][3])
         if not 0.0 < w < np.pi:
             return None
-    left = sine - np.column_stack([np.cos(w * k), np.sin(w * k), np.ones(k.size)]) @ fit
-    return w / (2.0 * np.pi) if np.var(left) < PURE * np.var(sine) else None
+    residual = sine - np.column_stack([np.cos(w * k), np.sin(w * k), np.ones(k.size)]) @ fit
+    return w / (2.0 * np.pi) if np.var(residual) < PURE * np.var(sine) else None
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Instrument, command and position increments of one record, (n,) each, and the stretches that can be used.
+    """Instrument, command and position increments of one record, (n,) each, and its usable stretches.
 
-    ``r`` instrument, ``u`` command [V], ``dq`` increments [m]; ``repeats`` is the period of the instrument in samples,
-    0 where it has none; ``stretches`` holds first and last sample (excluded) of each, ``steps`` of a stepped sine.
+    ``r`` instrument, ``u`` command [V], ``dq`` increments [m], ``bias`` increments of the reference [m]; ``repeats`` is
+    the period of the instrument in samples, 0 for none; ``stretches`` holds first and last sample (excluded) of each,
+    ``steps`` those of a stepped sine.
     """
 
     name: str
@@ -290,7 +287,7 @@ class Signals:
 
     @property
     def used(self) -> np.ndarray:
-        """Which samples are in a stretch (n,)."""
+        """Mask (n,) of the samples in a stretch."""
         used = np.zeros(self.r.size, dtype=bool)
         for start, stop in self.stretches:
             used[start:stop] = True
@@ -300,10 +297,10 @@ class Signals:
 def signals_of(record: Record, instrument: str = "") -> Signals:
     """Find the instrument of ``record``, its period and the stretches in which the reference runs steadily.
 
-    ``instrument`` is ``excitation``, ``reference`` or ``command``, by default the first of the first two that the
-    record has. The command is none, since feedback is in it: it gives the ratio of spectra. Stretches in which the
-    motor is switched off throughout are left out, and what is in a gap. Raises :class:`RecordError` where there is no
-    instrument, and where the motor is off in all stretches, or gaps are everywhere.
+    ``instrument`` is ``excitation``, ``reference`` or ``command``; by default the excitation, if the record has one,
+    else the reference. The command contains feedback and is no instrument in closed loop: it gives the ratio of
+    spectra. Gaps are left out, and stretches with the motor switched off throughout. Raises :class:`RecordError`
+    without an instrument, or where no stretch is left.
     """
     excitation, bias = record.excitation, _reference_increments(record)
     if not instrument:
@@ -323,9 +320,9 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
     steps = steps_of(r) if instrument != COMMAND else ()
     repeats = 0
     if instrument != COMMAND and not steps:
-        repeats = _repeats(r, bias if instrument == EXCITATION else None)
-    runs = [(one.start, one.stop) for one in steps] or _stretches(r, bias, repeats, instrument)
-    if repeats and not runs:  # once on each pass: nothing is periodic in that
+        repeats = _period_of(r, bias if instrument == EXCITATION else None)
+    runs = [(step.start, step.stop) for step in steps] or _stretches(r, bias, repeats, instrument)
+    if repeats and not runs:  # it repeats from pass to pass only
         repeats, runs = 0, _stretches(r, bias, 0, instrument)
     if len(record.pieces) > 1:
         runs, steps = _within(runs, steps, record.pieces, 2 * repeats or FEWEST)
@@ -335,12 +332,12 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
                 f"{'two whole periods' if repeats or steps else f'{FEWEST} samples'}"
             )
     if record.enable is not None:
-        on = [bool(np.any(record.enable[start:stop])) for start, stop in runs]
-        if runs and not any(on):
+        powered = [bool(np.any(record.enable[start:stop])) for start, stop in runs]
+        if runs and not any(powered):
             raise RecordError(
                 f"{record.name}: found enable 0 wherever the {instrument} could be used, expected the motor switched on"
             )
-        runs = [run for run, one in zip(runs, on, strict=True) if one]
+        runs = [run for run, on in zip(runs, powered, strict=True) if on]
         steps = tuple(step for step in steps if (step.start, step.stop) in runs)
     return Signals(
         record.name,
@@ -357,7 +354,7 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
 
 
 def _reference_increments(record: Record) -> np.ndarray:
-    """What the reference moves by in each period (n,) [m], 0 where the record has none."""
+    """Increments of the reference (n,) [m], 0 where the record has none."""
     if record.q_ref_recorded:
         return np.diff(record.q_ref, prepend=record.q_ref[:1])
     if record.velocity_reference is not None:
@@ -365,8 +362,8 @@ def _reference_increments(record: Record) -> np.ndarray:
     return np.zeros(len(record))
 
 
-def _repeats(r: np.ndarray, bias: np.ndarray | None) -> int:
-    """Period of ``r`` in samples, the shortest that holds over at least two of them somewhere; 0 for none."""
+def _period_of(r: np.ndarray, bias: np.ndarray | None) -> int:
+    """Period of ``r`` [samples], the shortest with which at least two periods in a row agree; 0 for none."""
     from scipy.fft import irfft, next_fast_len, rfft
     from scipy.signal import find_peaks
 
@@ -374,34 +371,34 @@ def _repeats(r: np.ndarray, bias: np.ndarray | None) -> int:
     if active.size < 2 * SHORTEST:
         return 0
     part = r[active[0] : active[-1] + 1][:LOOKED_AT]
-    # A reference runs on, and speeds up evenly: what repeats shows in its jerk.
+    # A reference advances, and accelerates evenly: its jerk shows what repeats.
     part = np.diff(part, 2) if bias is None else part - np.mean(part)
     size_of = np.abs(part)
     usual = float(np.median(size_of[size_of > 1e-6 * np.max(size_of)]))
-    limited = np.clip(part, -6.0 * usual, 6.0 * usual)  # a jerk here and there is no period
+    limited = np.clip(part, -6.0 * usual, 6.0 * usual)  # single peaks of jerk are no period
     size = next_fast_len(2 * part.size, real=True)
     spectrum = rfft(limited, size)
     correlation = irfft(spectrum.real**2 + spectrum.imag**2, size)[: part.size]
     overlap = np.arange(part.size, 0, -1) / part.size
     even = correlation[overlap > 0.1] / correlation[0] / overlap[overlap > 0.1]
     peaks = find_peaks(even, height=CORRELATED)[0]
-    return next((int(lag) for lag in peaks[peaks >= SHORTEST][:CANDIDATES] if _holds(limited, int(lag))), 0)
+    return next((int(lag) for lag in peaks[peaks >= SHORTEST][:CANDIDATES] if _repeats_after(limited, int(lag))), 0)
 
 
-def _holds(part: np.ndarray, lag: int) -> bool:
+def _repeats_after(part: np.ndarray, lag: int) -> bool:
     """Whether ``part`` repeats after ``lag`` samples over at least one whole period."""
     gap = (part[lag:] - part[:-lag]) ** 2
     power = 0.5 * (part[lag:] ** 2 + part[:-lag] ** 2)
     if gap.size < lag:
         return False
     total = np.concatenate([[0.0], np.cumsum(gap)]), np.concatenate([[0.0], np.cumsum(power)])
-    window = [one[lag:] - one[:-lag] for one in total]
+    window = [sums[lag:] - sums[:-lag] for sums in total]
     good = (window[1] > 0.25 * np.max(window[1])) & (window[0] <= SAME * window[1])
     return bool(np.any(good))
 
 
 def _stretches(r: np.ndarray, bias: np.ndarray, repeats: int, kind: str) -> list[tuple[int, int]]:
-    """Runs in which the reference runs evenly and the instrument repeats, or is at work where it never repeats."""
+    """Runs at steady reference speed in which the instrument repeats, or, without a period, is active."""
     fastest = float(np.max(np.abs(bias)))
     if kind == COMMAND:
         return [(0, r.size)]
@@ -427,9 +424,9 @@ def _stretches(r: np.ndarray, bias: np.ndarray, repeats: int, kind: str) -> list
 def _within(
     runs: list[tuple[int, int]], steps: tuple[Step, ...], pieces: list[tuple[int, int]], shortest: int
 ) -> tuple[list[tuple[int, int]], tuple[Step, ...]]:
-    """What of ``runs``, or of the ``steps`` that they are, lies within ``pieces`` and is not too short [samples].
+    """The parts of ``runs``, or of ``steps``, within ``pieces`` and of at least ``shortest`` samples, or two blocks.
 
-    The first increment of a piece but the first comes out of a gap.
+    The first increment of every piece but the first spans a gap and is left out.
 
     >>> _within([(0, 50), (60, 90)], (), [(0, 20), (30, 80)], 19)
     ([(0, 20), (31, 50), (60, 80)], ())
@@ -445,9 +442,9 @@ def _within(
 
 
 def motion(signals: Signals) -> dict[str, float]:
-    """Reversals and the share of time at rest in what is used of a record, and its mean speed [m/s].
+    """Reversals, share of time at rest, mean speed [m/s] and duration [s] of the stretches.
 
-    The velocity is that over as many samples as the carriage takes, at its mean speed, for eight steps of the encoder.
+    The velocity is averaged over the samples that eight encoder steps take at the mean speed.
     """
     steps = np.abs(signals.dq[signals.dq != 0.0])
     step = float(np.min(steps)) if steps.size else 0.0

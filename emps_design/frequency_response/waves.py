@@ -1,9 +1,9 @@
-"""What an experiment adds to the loop: all lines at once, a random-phase multi-sine, or one by one, a stepped sine.
+"""Excitation signals of an experiment: a random-phase multi-sine with all lines at once, or a stepped sine.
 
-A multi-sine has odd lines alone, one of every four left out, so that noise, even and odd distortion show apart; lines
-lie no closer than a hundredth of their frequency. Of several draws of the phases the one with the smallest peak is
-taken. A stepped sine puts all of the amplitude into one line at a time, in steps of whole periods with a pause between
-them. Both swell and fade, and the first period, or block, is there for the loop to settle in.
+A multi-sine has odd lines only, one of every four left out, which separates noise, even and odd distortion; lines are
+at least a hundredth of their frequency apart. Of several random draws of the phases the one with the smallest peak is
+taken. A stepped sine puts all of the amplitude into one line at a time, in steps of whole periods with pauses between
+them. Both are faded in and out, and the loop settles during the first period, or block.
 Source: R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapter 5.
 """
 
@@ -19,20 +19,20 @@ from emps_design.errors import InputError
 
 DRAWS = 100
 GROUP = 4  # one line of so many is left out
-CLOSEST = 0.01  # share of its frequency, the distance of a line to the next
+CLOSEST = 0.01  # least relative distance of neighbouring lines
 LEAST = 2  # periods of a multi-sine on a pass, besides the one in which the loop settles
 BLOCKS = 4  # of a step, besides the one in which the loop settles
 PAUSE = 32  # samples between two steps
 
 
 class Wave(Protocol):
-    """Lines and what becomes of complex amplitudes (m,) of them; ``label`` is what it is called."""
+    """An excitation with m lines, for complex amplitudes (m,); ``label`` is its name."""
 
     label: str
 
     @property
     def cycles(self) -> np.ndarray:
-        """The lines (m,) in periods by sample."""
+        """The lines (m,) [periods per sample]."""
 
     @property
     def blocks(self) -> np.ndarray:
@@ -60,7 +60,7 @@ class Wave(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MultiSine:
-    """``lines`` (m,) of a base period of ``samples``, which swells and fades over ``fade`` samples."""
+    """``lines`` (m,) of a base period of ``samples``, faded in and out over ``fade`` samples."""
 
     lines: np.ndarray
     samples: int
@@ -70,7 +70,7 @@ class MultiSine:
 
     @classmethod
     def between(cls, low: float, high: float, samples: int, fade: int, random: np.random.Generator) -> MultiSine:
-        """Odd lines from ``low`` to ``high``, in periods by sample, one of every group left out by lot."""
+        """Odd lines from ``low`` to ``high`` [periods per sample], without a random one of every group."""
         chosen: list[int] = []
         line = int(np.ceil(low * samples)) | 1
         while line <= min(high * samples, samples / 2 - 1):
@@ -87,7 +87,7 @@ class MultiSine:
 
     @property
     def cycles(self) -> np.ndarray:
-        """The lines (m,) in periods by sample."""
+        """The lines (m,) [periods per sample]."""
         return self.lines / self.samples
 
     @property
@@ -107,7 +107,7 @@ class MultiSine:
     def phased(self, added: np.ndarray, command: np.ndarray) -> np.ndarray:
         """As in :class:`Wave`."""
         phases = np.exp(2j * np.pi * self.random.random((DRAWS, self.lines.size)))
-        crest = [self.peak(one * added * command) for one in phases]  # one by one: a long period fills the memory
+        crest = [self.peak(draw * added * command) for draw in phases]  # one draw at a time, to save memory
         return phases[int(np.argmin(crest))] * added
 
     def peak(self, amplitudes: np.ndarray) -> float:
@@ -116,8 +116,8 @@ class MultiSine:
 
     def trains(self, amplitudes: np.ndarray, flat: int, times: int) -> tuple[list[np.ndarray], np.ndarray | int]:
         """As in :class:`Wave`."""
-        periods, one = self.periods(flat), self._period(amplitudes)
-        wave = np.concatenate([np.tile(one, periods + 1), one[: self.fade]])
+        periods, period = self.periods(flat), self._period(amplitudes)
+        wave = np.concatenate([np.tile(period, periods + 1), period[: self.fade]])
         return [_faded(wave, self.fade)] * times, periods * self.samples * times
 
     def periods(self, flat: int) -> int:
@@ -133,7 +133,7 @@ class MultiSine:
 
 @dataclass(frozen=True, eq=False)
 class SteppedSine:
-    """Steps of ``turns`` (m,) periods in blocks of ``samples`` (m,), whole numbers both."""
+    """Steps of ``turns`` (m,) periods in blocks of ``samples`` (m,), both integers."""
 
     turns: np.ndarray
     samples: np.ndarray
@@ -141,18 +141,18 @@ class SteppedSine:
 
     @classmethod
     def between(cls, low: float, high: float, count: int, samples: int) -> SteppedSine:
-        """``count`` lines from ``low`` to ``high``, in periods by sample, evenly in their logarithm, each in steps of
-        about ``samples``, or longer where a block would have less than a period."""
+        """``count`` logarithmically spaced lines from ``low`` to ``high`` [periods per sample], in steps of about
+        ``samples``, or longer where a block would be shorter than a period."""
         wanted = np.geomspace(low, high, count)
         turns = np.maximum(1, np.floor(wanted * samples / BLOCKS))
         blocks = np.round(turns / wanted)
-        # Of two that fall on the same line one is left.
+        # Duplicate lines are dropped.
         lines = np.unique(turns / blocks, return_index=True)[1]
         return cls(turns[lines].astype(int), blocks[lines].astype(int))
 
     @property
     def cycles(self) -> np.ndarray:
-        """The lines (m,) in periods by sample."""
+        """The lines (m,) [periods per sample]."""
         return self.turns / self.samples
 
     @property
@@ -162,7 +162,7 @@ class SteppedSine:
 
     @cached_property
     def _lengths(self) -> np.ndarray:
-        """Samples of each step with pause, to swell and to fade over half a block each."""
+        """Samples (m,) of each step with its pause, faded in and out over half a block each."""
         return (BLOCKS + 1) * self.samples + 2 * (self.samples // 2) + PAUSE
 
     @property
@@ -186,7 +186,7 @@ class SteppedSine:
         """As in :class:`Wave`."""
         passes: list[list[np.ndarray]] = [[]]
         filled = 0
-        for turn in range(times):  # every other time downwards, so that a line meets both directions
+        for turn in range(times):  # alternately up and down, so that each line is measured in both directions
             for i in range(self.turns.size) if turn % 2 == 0 else reversed(range(self.turns.size)):
                 length = int(self._lengths[i])
                 if filled + length > flat:
@@ -196,13 +196,13 @@ class SteppedSine:
                 sine = np.real(amplitudes[i] * np.exp(2j * np.pi * self.cycles[i] * k))
                 passes[-1] += [_faded(sine, int(self.samples[i]) // 2), np.zeros(PAUSE)]
                 filled += length
-        found = [np.concatenate(one) for one in passes]
-        longest = max(one.size for one in found)
-        return [np.pad(one, (0, longest - one.size)) for one in found], BLOCKS * self.samples * times
+        waves = [np.concatenate(parts) for parts in passes]
+        longest = max(wave.size for wave in waves)
+        return [np.pad(wave, (0, longest - wave.size)) for wave in waves], BLOCKS * self.samples * times
 
 
 def _faded(wave: np.ndarray, fade: int) -> np.ndarray:
-    """The ``wave`` (n,), which rises over the first ``fade`` samples and falls over as many at its end."""
+    """The ``wave`` (n,), faded in over its first ``fade`` samples and out over its last."""
     rise = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
     faded = wave.copy()
     faded[:fade] *= rise

@@ -171,7 +171,7 @@ def test_a_stepped_sine(axis, at):
 def test_the_speed_is_just_below_the_asked_one_and_no_whole_number_of_steps_in_a_period(step, speed):
     axis = machine("emps2019").replace(**HEAVY["axis"], effects=[], sampling={"encoder_resolution": step})
     found = design_experiment(axis, Limits(5.0), speed, high=100.0, resolution=1.0)
-    assert found.asked == speed
+    assert found.requested_speed == speed
     assert speed - 1.5 * step < found.speed <= speed  # of a period of 1 s
     advance = found.speed * found.samples * found.period / step
     assert 0.15 < advance % 1.0 < 0.85
