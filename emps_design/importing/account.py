@@ -1,6 +1,6 @@
-"""What an import took for what: columns, units, ranges, clock, encoder; and the table that would say so in the file.
+"""Account of an import: columns, units, ranges, clock, encoder, and the ``[record]`` table for the axis file.
 
-What a trace tells of its axis before there is an axis file: columns, units, period, encoder, limit.
+Without an axis file, :func:`read_trace` reads columns, units, period, encoder and command limit from a trace.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from emps_design.records.layout import KEYS, MAPPED, NAMED, RECOGNISED, Assignme
 from emps_design.records.readers import read_titles
 from emps_design.units import COMMANDS, MOTIONS, Units
 
-FEW_STEPS = 20.5  # of an encoder: increments that are still told apart
-SMALLEST = (20, 5, 0)  # which of the smallest increments may be one step: a few may have been disturbed
-ON_GRID = 0.1  # of a step, that increments are off whole ones on average where there is an encoder
-ALIKE = 1.25  # times
+FEW_STEPS = 20.5  # of an encoder: largest increment that is fitted
+SMALLEST = (20, 5, 0)  # ranks of the smallest increments that are tried as the step: a few may be disturbed
+ON_GRID = 0.1  # of a step, largest mean distance of increments from whole steps
+ALIKE = 1.25  # largest ratio of the measured encoder step to that of the axis file, or its inverse
 
 HEADINGS = ("column in the file", "unit", "is", "lowest", "highest", "unit", "found")
 _HOW = {MAPPED: "mapped", NAMED: "by its name", RECOGNISED: "by its title"}
@@ -43,13 +43,13 @@ _BY_WORD = {
     "force": r"\bforce\b|kraft",
     "duty": r"\b(duty|pwm)\b",
 }
-# The unit that is likely where a title has none, by motion: what a drive writes by default.
+# The usual unit where a title has none, by motion: the default of most drives.
 USUAL = {
     "linear": {"q": "m", "q_ref": "m", "velocity": "m/s"},
     "rotary": {"q": "rad", "q_ref": "rad", "velocity": "rpm"},
 }
 NEW = "\n"
-PLATEAU = 1e-6  # of the largest command: samples this near it sit at a limit
+PLATEAU = 1e-6  # of the largest command: samples this close to it are at a limit
 FEWEST_AT_LIMIT = 20
 
 
@@ -62,34 +62,34 @@ class Account:
 
     @property
     def encoder_step(self) -> float | None:
-        """The step that the position moves in [m or rad], None where it shows none."""
-        return step_seen(self.record)
+        """Encoder step of the recorded position [m or rad], None where it has none."""
+        return step_of_record(self.record)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the reader did, what it noticed, and an encoder that is not the one of the axis file."""
-        seen, known = self.encoder_step, self.axis.sampling.encoder_resolution
-        if seen is None or not known or 1.0 / ALIKE < seen / known < ALIKE:
+        """Warnings of the reader, and of an encoder step that differs from the axis file."""
+        step, known = self.encoder_step, self.axis.sampling.encoder_resolution
+        if step is None or not known or 1.0 / ALIKE < step / known < ALIKE:
             return self.record.warnings
         unit, factor = self.axis.units.display(known, "m")
-        text = f"q: moves in steps of {factor * seen:.4g} {unit}, the axis file says {factor * known:.4g} {unit}"
+        text = f"q: moves in steps of {factor * step:.4g} {unit}, the axis file says {factor * known:.4g} {unit}"
         return (*self.record.warnings, text)
 
     @property
     def rows(self) -> list[tuple[str, ...]]:
-        """One row of words per column, under ``HEADINGS``; positions in the unit in which people read them."""
-        return [self._row(self._column(one)) for one in self.record.assigned]
+        """One row of words per column, under ``HEADINGS``; positions in a readable unit."""
+        return [self._row(self._column(assignment)) for assignment in self.record.assigned]
 
     @property
     def table(self) -> str:
-        """The ``[record]`` table that says which column is what, "" where the file needs none.
+        """The ``[record]`` table that maps the columns, "" where the file needs none.
 
-        What the axis file maps stays in it unchanged, a column that this file does not have too.
+        Entries of the axis file stay unchanged, also those of columns that this file lacks.
         """
         assigned = self.record.assigned
-        if all(one.how == NAMED for one in assigned):
+        if all(assignment.how == NAMED for assignment in assigned):
             return ""
-        there = {one.name for one in assigned}
+        there = {assignment.name for assignment in assigned}
         absent = {name: column for name, column in self.axis.record.named.items() if name not in there}
         return record_table(assigned, absent, self.axis.record.accept)
 
@@ -100,7 +100,7 @@ class Account:
         step = np.diff(record.t[:2] if measured is None else measured["t"])
         return {
             **record.to_dict(),
-            "columns": [self._column(one) for one in record.assigned],
+            "columns": [self._column(assignment) for assignment in record.assigned],
             "axis": self.axis.name,
             "sampling": {
                 "period": record.period,
@@ -115,7 +115,7 @@ class Account:
                 "unit": units.unit("m"),
             },
             "record_table": self.table,
-            "recognised": any(one.how == RECOGNISED for one in record.assigned),
+            "recognised": any(assignment.how == RECOGNISED for assignment in record.assigned),
             "warnings": list(self.notes),
         }
 
@@ -126,30 +126,30 @@ class Account:
         ends = (f"{factor * column[end] or 0.0:.6g}" for end in ("lowest", "highest"))
         return (column["title"], column["unit_in_file"], column["name"], *ends, unit, _HOW[column["how"]])
 
-    def _column(self, one: Assignment) -> dict[str, Any]:
-        values = self.record.t if one.name == "t" else self.record.columns[one.name]
+    def _column(self, assignment: Assignment) -> dict[str, Any]:
+        values = self.record.t if assignment.name == "t" else self.record.columns[assignment.name]
         return {
-            "name": one.name,
-            "title": one.title,
-            "key": KEYS.get(one.name, one.name),
-            "how": one.how,
-            "unit_in_file": one.unit,
-            "factor": one.factor,
-            "unit": unit_of(one.name, self.axis.units),
+            "name": assignment.name,
+            "title": assignment.title,
+            "key": KEYS.get(assignment.name, assignment.name),
+            "how": assignment.how,
+            "unit_in_file": assignment.unit,
+            "factor": assignment.factor,
+            "unit": unit_of(assignment.name, self.axis.units),
             "lowest": float(values.min()),
             "highest": float(values.max()),
         }
 
 
-def step_seen(record: Record) -> float | None:
-    """The step of the encoder [m or rad] that the position of ``record``, where it has one itself, moves in."""
-    if record.assigned and all(one.name != "q" for one in record.assigned):
+def step_of_record(record: Record) -> float | None:
+    """Encoder step [m or rad] of the position of ``record``; None without one, or without a position of its own."""
+    if record.assigned and all(assignment.name != "q" for assignment in record.assigned):
         return None
     return encoder_step(record.q if record.measured is None else record.measured["q"])
 
 
 def encoder_step(q: np.ndarray) -> float | None:
-    """The step of which every increment of ``q`` is a multiple, None where there is none.
+    """The step of which every increment of ``q`` (n,) is a multiple, in the unit of ``q``; None without one.
 
     >>> import numpy as np
     >>> t = np.arange(4000) / 1000
@@ -162,12 +162,12 @@ def encoder_step(q: np.ndarray) -> float | None:
     if increments.size < 50:
         return None
     increments.sort()
-    found = (_grid(increments, float(increments[place])) for place in SMALLEST)
-    return next((step for step in found if step is not None), None)
+    candidates = (_grid(increments, float(increments[place])) for place in SMALLEST)
+    return next((step for step in candidates if step is not None), None)
 
 
 def _grid(increments: np.ndarray, step: float) -> float | None:
-    """The ``step``, made exact, of which the smaller ``increments`` are multiples; None where they are none of it."""
+    """The ``step``, refined, of which the smaller ``increments`` are multiples; None where they are not."""
     for _ in range(2):
         few = increments[increments < FEW_STEPS * step]
         steps = np.round(few / step)
@@ -182,35 +182,35 @@ def record_table(
 ) -> str:
     """The ``[record]`` table of an axis file for columns ``assigned``, ``absent`` ones by name, doubts to ``accept``.
 
-    What an axis file says of a column stands there unchanged; of any other, its title and its unit.
+    Entries of the axis file stay unchanged; other columns get their title and unit.
     """
-    entries = {one.name: _entry(one) for one in assigned if one.name in KEYS}
+    entries = {assignment.name: _entry(assignment) for assignment in assigned if assignment.name in KEYS}
     entries |= {name: _written(column) for name, column in absent.items()}
     return record_toml({KEYS[name]: entry for name, entry in entries.items()} | ({"accept": accept} if accept else {}))
 
 
-def _entry(one: Assignment) -> dict[str, Any]:
-    """What ``[record]`` has to say of one column; a command in the unit of the axis needs no unit."""
-    if one.entry is not None:
-        return _written(one.entry)
-    own = one.name == "enable" or (one.name == "u" and one.factor == 1.0)
-    bracketed = one.title.rstrip().endswith(("]", ")"))
-    return {"column": plain_title(one.title)[0] if bracketed else one.title.strip()} | (
-        {"unit": one.unit} if one.unit and not own else {}
+def _entry(assignment: Assignment) -> dict[str, Any]:
+    """The entry of one column in ``[record]``; a command in the unit of the axis needs no unit."""
+    if assignment.entry is not None:
+        return _written(assignment.entry)
+    own = assignment.name == "enable" or (assignment.name == "u" and assignment.factor == 1.0)
+    bracketed = assignment.title.rstrip().endswith(("]", ")"))
+    return {"column": plain_title(assignment.title)[0] if bracketed else assignment.title.strip()} | (
+        {"unit": assignment.unit} if assignment.unit and not own else {}
     )
 
 
 def _written(column: Column) -> dict[str, Any]:
-    """``column`` as an axis file has it, what is as by default left out."""
+    """``column`` as in an axis file, without defaults."""
     return column.model_dump(exclude_none=True, exclude_defaults=True)
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A file of ``titles``, the ``units`` that they tell, and its ``record``, or the ``reason`` why there is none.
+    """A file of ``titles`` with the ``units`` of these, and its ``record``, or the ``reason`` why it cannot be read.
 
-    ``guessed`` are the columns [by name in a record] of which the title says what they are but no unit: the record was
-    read with those of :data:`USUAL`, which its period and its command do not depend on.
+    ``guessed`` are the columns, by name in a record, whose title has no unit: the record was read with the units of
+    :data:`USUAL`, which affect neither period nor command.
     """
 
     path: Path
@@ -222,12 +222,12 @@ class Trace:
 
     @property
     def encoder_step(self) -> float | None:
-        """The step of the encoder [m or rad] where the position shows one."""
-        return None if "q" in self.guessed else None if self.record is None else step_seen(self.record)
+        """Encoder step [m or rad] of the position, None without one or where its unit is a guess."""
+        return None if "q" in self.guessed else None if self.record is None else step_of_record(self.record)
 
     @property
     def limit(self) -> float | None:
-        """The command at which the drive stops [command unit], where many samples sit at it."""
+        """The command limit [command unit], where many samples are at the largest command; else None."""
         if self.record is None:
             return None
         u = np.abs(self.record.u)
@@ -237,7 +237,7 @@ class Trace:
 
 
 def read_trace(path: str | Path) -> Trace:
-    """Read what the file at ``path`` tells by itself; raises :class:`RecordError` where it is no trace at all."""
+    """Read the trace at ``path`` without an axis file; raises :class:`RecordError` where it is no trace."""
     titles = read_titles(path)
     units = _units(titles)
     layout = Layout(units, period=math.inf, resample=True, reference_needed=False)
@@ -247,9 +247,9 @@ def read_trace(path: str | Path) -> Trace:
     except RecordError as error:
         reason = str(error)
     guesses = {
-        name: Column(column=found[0], unit=USUAL[units.motion][name])
-        for name, found in meanings(titles, units).items()
-        if name in USUAL[units.motion] and len(found) == 1 and not title_unit(found[0])[1]
+        name: Column(column=matches[0], unit=USUAL[units.motion][name])
+        for name, matches in meanings(titles, units).items()
+        if name in USUAL[units.motion] and len(matches) == 1 and not title_unit(matches[0])[1]
     }
     if guesses:
         columns = ColumnMap(**{KEYS[name]: column for name, column in guesses.items()})
@@ -260,12 +260,12 @@ def read_trace(path: str | Path) -> Trace:
 
 
 def axis_text(trace: Trace, controller: str = "") -> str:
-    """The axis file that ``trace`` tells, the rest commented out; ``controller`` is that table, where it is known."""
+    """An axis file with what ``trace`` determines, the rest commented out; ``controller`` is that table, if known."""
     units, record, step = trace.units, trace.record, trace.encoder_step
     unit, name = units.unit, re.sub(r"[^\w-]+", "_", trace.path.stem) or "axis"
     moves = "inertia" if units.rotary else "mass"
     largest = float(np.max(np.abs(record.u))) if record else 0.0
-    seen = f"the largest command seen is {largest:.4g}" if record else "the largest command"
+    largest_remark = f"the largest command seen is {largest:.4g}" if record else "the largest command"
     limit = trace.limit or float(f"{1.5 * largest:.1g}") or 10.0
     way = "gear" if units.rotary else "gear and screw"
     own_unit = units.command_unit != COMMANDS[units.command]
@@ -282,7 +282,7 @@ def axis_text(trace: Trace, controller: str = "") -> str:
         (f'command = "{units.command}"', "what the command column is: voltage, current, torque, force or duty"),
         *([(f'command_unit = "{units.command_unit}"', "")] if own_unit else []),
         ("# force_gain = 1.0", f"{unit('N/V')}, on the load side: rated {units.words('force')}, {way}"),
-        (f"{'' if trace.limit else '# '}command_limit = {limit:.6g}", f"{units.command_unit}, {seen}"),
+        (f"{'' if trace.limit else '# '}command_limit = {limit:.6g}", f"{units.command_unit}, {largest_remark}"),
         (f"{NEW}[sampling]", ""),
         (f"period = {record.period!r}" if record else "# period = 0.001", "s"),
         (f"{'' if step else '# '}encoder_resolution = {step or 1e-6:.4g}", f"{unit('m')}, one step on the load side"),
@@ -295,8 +295,10 @@ NO_LAW = '[controller]\nkind = "none"                    # or what the drive run
 
 
 def _columns(trace: Trace) -> str:
-    """The ``[record]`` table, or why none is needed; what is not certain waits behind a #."""
-    named = {one.name for one in trace.record.assigned if one.how == NAMED} if trace.record else set()
+    """The ``[record]`` table, or a remark that none is needed; uncertain lines are commented out."""
+    named = (
+        {assignment.name for assignment in trace.record.assigned if assignment.how == NAMED} if trace.record else set()
+    )
     if trace.record is not None and not trace.guessed:
         if len(named) == len(trace.record.assigned):
             return "# The columns have the names of a record: no [record] table is needed.\n"
@@ -304,13 +306,13 @@ def _columns(trace: Trace) -> str:
     reason = trace.reason.replace(str(trace.path), trace.path.name)
     lines = [f"# {reason}", f"# columns of the file: {', '.join(trace.titles[:40])}", "[record]"]
     usual = {"t": "s", "u": trace.units.command_unit} | USUAL[trace.units.motion]
-    for name, found in _understood(trace).items():
-        title = found[0] if found else ""
+    for name, matches in _needed_columns(trace).items():
+        title = matches[0] if matches else ""
         unit = title_unit(title)[1]
-        if len(found) == 1 and (unit or name == "u"):
+        if len(matches) == 1 and (unit or name == "u"):
             lines.append(_line(record_table((Assignment(name, title, unit),))))
         else:
-            others = f"  # or {' or '.join(map(repr, found[1:]))}" if found[1:] else ""
+            others = f"  # or {' or '.join(map(repr, matches[1:]))}" if matches[1:] else ""
             lines.append(
                 f"# {_line(record_toml({KEYS[name]: {'column': title, 'unit': unit or usual[name]}}))}{others}"
             )
@@ -322,16 +324,16 @@ def _line(table: str) -> str:
     return table.split("\n")[1]
 
 
-def _understood(trace: Trace) -> dict[str, list[str]]:
-    """The titles that may be each column that a record needs and that has not the name of one."""
+def _needed_columns(trace: Trace) -> dict[str, list[str]]:
+    """Possible titles by name for each column that a record needs and no title names."""
     named = {NAMES.get(plain_title(title)[0].lower(), "") for title in trace.titles}
-    found = {name: titles for name, titles in meanings(trace.titles, trace.units).items() if name not in named}
-    moves = ("velocity",) if found.get("velocity") and not found.get("q") else ("q",)
-    return {name: found[name] for name in ("t", *moves, "q_ref", "u") if name in found}
+    matches = {name: titles for name, titles in meanings(trace.titles, trace.units).items() if name not in named}
+    moves = ("velocity",) if matches.get("velocity") and not matches.get("q") else ("q",)
+    return {name: matches[name] for name in ("t", *moves, "q_ref", "u") if name in matches}
 
 
 def _units(titles: list[str]) -> Units:
-    """Motion and command as the titles have them: where they say nothing a voltage, and a line unless of a motor."""
+    """Motion and command from the titles; by default a voltage, and linear motion unless a title names a motor."""
 
     def named(name: str, motion: str) -> list[str]:
         plain = [title for title in titles if NAMES.get(title_unit(title)[0].lower()) == name]
@@ -342,13 +344,13 @@ def _units(titles: list[str]) -> Units:
         commands = commands or meanings(titles, Units("linear", kind, unit))["u"]
     command = next(iter(commands), "")
     unit = title_unit(command)[1]
-    unit = "%" if "%" in unit else unit  # of what, or of how many, is for [record] to say
+    unit = "%" if "%" in unit else unit  # the rated value is for [record] to say
     by_word = next((kind for kind, pattern in _BY_WORD.items() if re.search(pattern, words(command))), "voltage")
     kind = _BY_UNIT.get(unit, by_word)
-    moving = [one for name in ("q", "q_ref", "velocity") for motion in MOTIONS for one in named(name, motion)]
-    told = {title_unit(title)[1] for title in moving} & _MOTION
+    moving = [title for name in ("q", "q_ref", "velocity") for motion in MOTIONS for title in named(name, motion)]
+    title_units = {title_unit(title)[1] for title in moving} & _MOTION
     motor = any(re.search(r"\bmotor\b|drehzahl", words(title)) for title in moving)
-    motion = "rotary" if told & _TURNING or (motor and not told) else "linear"
+    motion = "rotary" if title_units & _TURNING or (motor and not title_units) else "linear"
     if kind == "duty":
         return Units(motion, kind, "")
     return Units(motion, kind, unit if unit in ("%", *_BY_UNIT) else COMMANDS[kind])

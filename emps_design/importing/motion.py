@@ -1,13 +1,12 @@
-"""Whether the signals of a record belong together, without a law: what no drive and no axis does.
+"""Check of a record without a law: signals that no drive and no axis can produce.
 
-Less can be told than with the law: only what stands out of anything that friction, elasticity and a controller do.
-The inverse model, acceleration, velocity, direction and a constant, stands for the axis; it need not fit well, but its
-gain must not change half-way, and it must fit best at the samples at which the record says.
+This shows less than the law: only faults beyond all effects of friction, elasticity and a controller. An inverse model
+with acceleration, velocity, direction and a constant stands for the axis. It need not fit well, but its gain must not
+change during the record, and it must fit best without a time shift of the command.
 
-Increments of a position that no motion has: rows written twice, a value that is held, samples that are missing.
-
-A position is two integrals of a force, so from one sample to the next its increment changes little. One that is 0 in
-full motion, or twice those beside it, was made by what wrote the record.
+Increments of the position show rows written twice, held values and missing samples: a position is the double integral
+of a force, so its increment changes little from one sample to the next. An increment of 0 in full motion, or of twice
+its neighbours, is a fault of the recording.
 """
 
 from __future__ import annotations
@@ -22,47 +21,44 @@ from emps_design.importing.account import encoder_step
 from emps_design.importing.sanity import correlation, motion_columns, unexplained
 from emps_design.records import Record
 
-BESIDE = 4  # increments on either side that say what is usual
-WIDE = 16  # samples on either side over which an axis moves, whatever was held meanwhile
-FEWEST_STEPS = 6.0  # of the encoder in an increment, for one that is 0 or twice as large to say something
-FULL = 0.9  # of the mean increment: next to one that is 0, the motion is full
-TWICE = (1.6, 4.5)  # times those beside it
-STEADY = 0.25  # of the usual increment, within which those beside it are alike
-ROUGH, QUIET = 8.0, 0.4  # times what this share of the increments changes less by
-FEWEST, SOME = 5, 2e-3  # samples, and of all samples, that stand still or are missing
+BESIDE = 4  # increments on either side of a median
+WIDE = 16  # samples on either side of a mean increment
+FEWEST_STEPS = 6.0  # of the encoder in a usual increment, for another of 0 or twice as much to be a fault
+FULL = 0.9  # of the mean increment, the least on both sides of one that is 0 in full motion
+TWICE = (1.6, 4.5)  # times the usual increment where samples are missing
+STEADY = 0.25  # of the usual increment, largest difference of the neighbours
+ROUGH, QUIET = 8.0, 0.4  # times this quantile of the changes of the increments, the least usual increment
+FEWEST, SOME = 5, 2e-3  # samples, and share of all samples, that stand still or are missing
 
-LONGEST = 200_000  # samples of a long record that are looked at
+LONGEST = 200_000  # samples of a long record that are checked
 SPIKE = 8.0  # times the command that all but one sample in a thousand stay below
-ANSWERED = 0.3  # of a spike, that the motion asks for
-UNCHANGED, LIKELY = 0.04, 4.0  # of the samples in motion; times as often as it changes by one step
+ANSWERED = 0.3  # of a spike, largest response of the motion to a spurious one
+UNCHANGED, LIKELY = 0.04, 4.0  # largest share of held samples in motion; least ratio to changes by one step
 COARSE = 0.2  # of the command's deviation
 ALTERNATES = 0.3  # of the command's deviation
 BLOCK = 32  # samples over which what alternates is averaged
-FITS = 0.35  # of the command, that the inverse model may leave where it is to say something
+FITS = 0.35  # of the command, largest residual of an inverse model that fits
 BLOCKS = 12
-EXPLAINED = 0.5  # of what one model of the whole record leaves, that a model for either part of it leaves
-BRAKES = 0.1  # of the power that speeds up and slows down, that either has where both are seen
-GAIN, SAME = 1.35, 1.5  # times, by which the command changes at once; within which mass and friction change alike
-SHIFTS = 0.08, 40  # s to either side, and in so many steps, by which the command is moved
+EXPLAINED = 0.5  # of the residual power of one model, largest residual power of a model for each part
+BRAKES = 0.1  # of the power of acceleration and braking, the least of either in a part
+GAIN, SAME = 1.35, 1.5  # least factor of a change of the gain; largest between those of mass and friction
+SHIFTS = 0.08, 40  # largest shift of the command [s], and steps to either side
 LATE, FEWEST_LATE = 0.015, 8  # s, and samples
-BETTER, WELL, LITTLE = (
-    0.6,
-    0.5,
-    0.1,
-)  # of what is left where nothing is moved; of the command, that is left then and now
-EXCHANGED, ALIKE = 0.7, 0.99  # of what the position leaves; correlation of position and reference
+BETTER = 0.6  # of the residual without a shift, the most with a shift
+WELL, LITTLE = 0.5, 0.1  # of the command, the largest residual with a shift and the least without one
+EXCHANGED, ALIKE = 0.7, 0.99  # of the position's residual, the most of the reference; least correlation of the two
 COARSER = 1.25  # times the encoder's step: a position that was rounded by the logger
-SHORT = 16  # samples, up to which a command is held; longer, somebody commands a constant
-LEVELS, NEXT = 5, 0.8  # levels that a signal in steps has, and share of its changes that go to the next one
+SHORT = 16  # samples, up to which a command is held; longer, it is meant to be constant
+LEVELS, NEXT = 5, 0.8  # least levels of a signal in steps, and share of its changes that go to the next level
 
 
 def step_of(values: np.ndarray) -> float:
-    """The step that ``values`` (n,) move in, 0 where there is none."""
+    """The step of which the increments of ``values`` (n,) are multiples, 0 without one."""
     return encoder_step(values) or 0.0
 
 
 def held(q: np.ndarray) -> np.ndarray:
-    """Samples (n,) bool at which the position ``q`` (n,) stands still although the axis runs.
+    """Samples (n,) bool at which the position ``q`` (n,) stands still in full motion.
 
     >>> q = np.arange(200.0) ** 2
     >>> q[100] = q[99]
@@ -70,7 +66,7 @@ def held(q: np.ndarray) -> np.ndarray:
     [100]
     """
     d = np.diff(q)
-    # Runs of increments of 0, and the increments before and behind each.
+    # Runs of zero increments, and the increments before and after each.
     ends = np.flatnonzero(np.diff(d == 0.0, prepend=False, append=False))
     first, behind = ends[::2], ends[1::2]
     inner = (first > 0) & (behind < d.size) & (behind - first <= WIDE)
@@ -86,7 +82,7 @@ def held(q: np.ndarray) -> np.ndarray:
 
 
 def lost(q: np.ndarray) -> np.ndarray:
-    """Samples (n,) bool before which some are missing: the increment is a multiple of those beside it.
+    """Samples (n,) bool before which others are missing: the increment is a multiple of its neighbours.
 
     >>> q = np.delete(np.arange(200.0) ** 2 + 1e4, 100)
     >>> np.flatnonzero(lost(q)).tolist()
@@ -98,7 +94,7 @@ def lost(q: np.ndarray) -> np.ndarray:
     padded = np.pad(d, BESIDE, mode="edge")
     usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1), axis=1)
     changes = np.abs(np.diff(d))
-    rough = float(np.quantile(changes, QUIET))  # where every fifth is missing, half of them are large
+    rough = float(np.quantile(changes, QUIET))  # where every fifth sample is missing, half of the changes are large
     big = np.abs(usual) > max(FEWEST_STEPS * _smallest(d), ROUGH * rough)
     with np.errstate(divide="ignore", invalid="ignore"):
         times = np.where(big, d / usual, 1.0)
@@ -108,7 +104,7 @@ def lost(q: np.ndarray) -> np.ndarray:
 
 
 def odd_increments(record: Record) -> str:
-    """What is odd about the increments of position and reference of ``record``, in words; "" where nothing is.
+    """Return a sentence on held or missing samples of position or reference of ``record``; "" for none.
 
     >>> t, sweep = 1e-3, np.arange(2000.0) ** 2 / 1e7
     >>> odd_increments(Record.from_arrays(t, sweep, sweep, np.sin(1e3 * sweep)))
@@ -120,34 +116,34 @@ def odd_increments(record: Record) -> str:
     q, reference = record.q, record.q_ref
     stands, leaps = {"q": held(q)}, {"q": lost(q)}
     if record.q_ref_recorded and np.ptp(reference):
-        # A reference may well be given in fewer steps than it is recorded; all else then goes on.
+        # A reference may be updated less often than it is recorded; the other signals then change.
         again = (np.diff(q, prepend=np.nan) == 0.0) & (np.diff(record.u, prepend=np.nan) == 0.0)
         stands["q_ref"], leaps["q_ref"] = held(reference) & again, lost(reference)
-    for found_in, words in (
+    for masks, words in (
         (stands, "{0} stands still at {1} in full motion: values are held, or rows repeated"),
         (leaps, "{0} leaps ahead at {1}: others are missing there, and time was numbered anew"),
     ):
-        for name, found in found_in.items():
-            if np.count_nonzero(found) > max(FEWEST, SOME * q.size):
-                return words.format(name, f"{100 * np.mean(found):.2g} % of the samples")
+        for name, mask in masks.items():
+            if np.count_nonzero(mask) > max(FEWEST, SOME * q.size):
+                return words.format(name, f"{100 * np.mean(mask):.2g} % of the samples")
     return ""
 
 
 def _mean(q: np.ndarray) -> np.ndarray:
-    """The mean increment (n - 1,) over a wide part around each."""
+    """Mean increment (n - 1,) over :data:`WIDE` samples on either side."""
     n = q.size - 1
     low, high = np.clip(np.arange(n) - WIDE, 0, n), np.clip(np.arange(n) + WIDE + 1, 0, n)
     return (q[high] - q[low]) / np.maximum(high - low, 1)
 
 
 def _smallest(d: np.ndarray) -> float:
-    """About the smallest step of the increments ``d``."""
+    """The smallest of the increments ``d``, by a low quantile."""
     sizes = np.abs(d[d != 0.0])
     return float(np.quantile(sizes, 0.001)) if sizes.size else 0.0
 
 
 def check_motion(axis: Axis, record: Record) -> list[str]:
-    """One line for each thing in ``record`` that no drive of ``axis`` does; nothing for a healthy record.
+    """Return a sentence for each fault of ``record`` that no drive of ``axis`` can cause; none for a healthy record.
 
     >>> from dataclasses import replace
     >>> from emps_design.machines import machine
@@ -159,14 +155,14 @@ def check_motion(axis: Axis, record: Record) -> list[str]:
     >>> check_motion(axis, replace(record, u=np.where(record.t < 9.0, 1.0, 2.0) * record.u))[0].split(" s on")[0]
     'u: from about 9.09'
     """
-    return list(_found(axis, record.until(LONGEST)))
+    return list(_faults(axis, record.until(LONGEST)))
 
 
-def _found(axis: Axis, record: Record) -> Iterator[str]:
+def _faults(axis: Axis, record: Record) -> Iterator[str]:
     u, n = record.u, len(record)
     swing = float(np.std(u))
-    if said := odd_increments(record):
-        yield said
+    if message := odd_increments(record):
+        yield message
     yield from _spike(axis, record)
     step = step_of(u)
     changes = np.abs(np.diff(u)) / step if step else np.zeros(0)
@@ -187,7 +183,7 @@ def _found(axis: Axis, record: Record) -> Iterator[str]:
 
 
 def _spike(axis: Axis, record: Record) -> Iterator[str]:
-    """Whether the largest command is one that the axis never answered."""
+    """A sentence where the largest command is a spike to which the axis does not respond."""
     u = record.u
     k, usual = int(np.argmax(np.abs(u))), float(np.quantile(np.abs(u), 0.999))
     beside = np.delete(np.abs(u[max(k - BLOCK, 0) : k + BLOCK + 1]), min(k, BLOCK))
@@ -208,7 +204,7 @@ def _spike(axis: Axis, record: Record) -> Iterator[str]:
 
 
 def _held_share(record: Record, step: float) -> float:
-    """Share of the samples in motion in which the command stays for a few samples, if that is more than by its step."""
+    """Share of the samples in motion at which the command is held briefly; 0 where its resolution explains that."""
     u = record.u
     same = np.diff(u) == 0.0
     ends = np.flatnonzero(np.diff(same, prepend=False, append=False))
@@ -227,7 +223,7 @@ def _exchanged(axis: Axis, record: Record) -> Iterator[str]:
     if not (record.q_ref_recorded and np.ptp(record.q_ref)):
         return
     rounded, encoder = step_of(record.q), axis.sampling.encoder_resolution
-    if rounded > COARSER * encoder:  # what is left of the position is then its rounding
+    if rounded > COARSER * encoder:  # the residual of the position is then its rounding
         return
     if correlation(record.q, record.q_ref) < ALIKE:
         return
@@ -237,21 +233,20 @@ def _exchanged(axis: Axis, record: Record) -> Iterator[str]:
 
 
 def _gain(record: Record) -> Iterator[str]:
-    """Whether the command that the same motion takes changes half-way, mass and friction alike.
+    """A sentence where the same motion takes another command from some time on, for mass and friction alike.
 
-    Both parts have to speed up and to slow down: else they have no motion in common, and friction that depends on the
-    torque, or is another in the other direction, looks like a gain.
+    Both parts must accelerate and brake: otherwise friction that depends on torque or direction looks like a gain.
     """
     columns, u = motion_columns(record, record.q)
     whole = _fit(columns, u)[1]
-    found = [(np.inf, 0, np.zeros(2), np.zeros(2))]
+    candidates = [(np.inf, 0, np.zeros(2), np.zeros(2))]
     for cut in np.linspace(0, u.size, BLOCKS + 1).astype(int)[2:-2].tolist():
-        if not (_speeds_up_and_slows_down(columns[:cut]) and _speeds_up_and_slows_down(columns[cut:])):
+        if not (_accelerates_and_brakes(columns[:cut]) and _accelerates_and_brakes(columns[cut:])):
             continue
-        (before, one), (after, other) = _fit(columns[:cut], u[:cut]), _fit(columns[cut:], u[cut:])
-        found.append((one + other, cut, before, after))
-    left, cut, before, after = min(found, key=lambda one: one[0])
-    if left > EXPLAINED * whole or left > (FITS * np.std(u)) ** 2 * u.size or not np.all(before > 0.0):
+        (before, before_power), (after, after_power) = _fit(columns[:cut], u[:cut]), _fit(columns[cut:], u[cut:])
+        candidates.append((before_power + after_power, cut, before, after))
+    power, cut, before, after = min(candidates, key=lambda candidate: candidate[0])
+    if power > EXPLAINED * whole or power > (FITS * np.std(u)) ** 2 * u.size or not np.all(before > 0.0):
         return
     inertial, dissipative = (after / before).tolist()
     if not 1.0 / SAME < inertial / (dissipative or np.inf) < SAME:
@@ -265,20 +260,20 @@ def _gain(record: Record) -> Iterator[str]:
     )
 
 
-def _speeds_up_and_slows_down(columns: np.ndarray) -> bool:
+def _accelerates_and_brakes(columns: np.ndarray) -> bool:
     power = columns[:, 0] * columns[:, 1]
     faster, slower = float(np.sum(power[power > 0.0])), -float(np.sum(power[power < 0.0]))
     return min(faster, slower) > BRAKES * (faster + slower)
 
 
 def _fit(columns: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, float]:
-    """Inertial and friction part of the command (2,) that full motion takes, and the power that is left."""
+    """Inertial and friction part (2,) of the command for full motion, and the residual power."""
     beta = np.linalg.lstsq(columns, u, rcond=None)[0]
     return np.array([beta[0], beta[1] + beta[2]]), float(np.sum((u - columns @ beta) ** 2))
 
 
 def _late(record: Record) -> Iterator[str]:
-    """Whether the command fits the motion much better somewhat earlier or later."""
+    """A sentence where the command fits the motion much better with a time shift."""
     reach, count = SHIFTS
     columns, u = motion_columns(record, record.q)
     most = min(round(reach / record.period), u.size // 4)
@@ -287,14 +282,14 @@ def _late(record: Record) -> Iterator[str]:
         return
     basis = np.linalg.qr(columns)[0]
 
-    def left(shift: int) -> float:
+    def residual(shift: int) -> float:
         moved = np.roll(u, shift)
         return float(np.std(moved - basis @ (basis.T @ moved))) / swing
 
-    own = left(0)
+    own = residual(0)
     if own < LITTLE:
         return
-    best, shift = min((left(shift), shift) for shift in {round(s) for s in np.linspace(-most, most, 2 * count + 1)})
+    best, shift = min((residual(shift), shift) for shift in {round(s) for s in np.linspace(-most, most, 2 * count + 1)})
     if abs(shift) < max(LATE / record.period, FEWEST_LATE) or abs(shift) == most:
         return
     if best < min(BETTER * own, WELL):

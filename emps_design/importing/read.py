@@ -1,7 +1,4 @@
-"""Read a record of an axis, whatever its drive writes.
-
-What in a record its own controller, or without one its own motion, contradicts: looked at once, as it is read.
-"""
+"""Read a record of an axis from the formats of drives, and check it against its controller or its motion."""
 
 from __future__ import annotations
 
@@ -17,38 +14,38 @@ from emps_design.laws import NONE
 from emps_design.records import MAX_BYTES, MAX_BYTES_TO_CUT, Record, read_record, record_from_bytes
 from emps_design.records.layout import Layout
 
-BLOCK = 500_000  # samples that are looked at together: an hour's would need more memory than all else
+BLOCK = 500_000  # samples that are checked together, to save memory
 MEANS = "what is found from this record may be wrong by more than it says"
 
 
 def with_contradictions(axis: Axis, record: Record) -> Record:
-    """Return ``record`` with what contradicts it among its ``warnings``, and alone in ``contradictions``.
+    """Return ``record`` with its contradictions in ``contradictions`` and among its ``warnings``.
 
-    Where the axis file has the law of the controller and the record what it followed, the law decides alone; else what
-    no drive does. A record with an excitation that was added to the command is taken at its word.
+    Where the law of the controller can run on the record, the law decides alone; otherwise its motion does
+    (:mod:`.motion`). A record with an excitation is not checked.
     """
     if record.excitation is not None:
         return record
     blocks = -(-len(record) // BLOCK)
     edges = [len(record) * i // blocks for i in range(blocks + 1)]
-    found: list[str] = []
+    messages: list[str] = []
     for start, stop in pairwise(edges):
-        found = _found(axis, record if blocks == 1 else record.part(start, stop, record.name))
-        if found:
+        messages = _contradictions(axis, record if blocks == 1 else record.part(start, stop, record.name))
+        if messages:
             break
-    if not found:
+    if not messages:
         return record
     if blocks > 1:  # times of a part begin with it
-        found = [f"in the part from {record.t[start]:.6g} s on, {text}" for text in found]
-    texts = tuple(f"{text}; {MEANS}" for text in found)
+        messages = [f"in the part from {record.t[start]:.6g} s on, {text}" for text in messages]
+    texts = tuple(f"{text}; {MEANS}" for text in messages)
     return replace(record, warnings=(*record.warnings, *texts), contradictions=texts)
 
 
-def _found(axis: Axis, record: Record) -> list[str]:
-    said = check_controller(axis, record) if can_replay(axis, record) else None
-    if said is None:
+def _contradictions(axis: Axis, record: Record) -> list[str]:
+    message = check_controller(axis, record) if can_replay(axis, record) else None
+    if message is None:
         return check_motion(axis, record)
-    return [text for text in (said or odd_increments(record),) if text]
+    return [text for text in (message or odd_increments(record),) if text]
 
 
 def import_record(
@@ -58,12 +55,12 @@ def import_record(
     resample: bool = False,
     window: tuple[float, float] | None = None,
 ) -> Record:
-    """Read the record at ``path`` as the ``[record]`` table of ``axis`` says, in SI units (commands: the axis's own).
+    """Read the record at ``path`` by the ``[record]`` table of ``axis``, in SI units and the command unit of the axis.
 
-    Without a table, columns have the names of the contract or titles that say what they are. Irregular time of an
-    export, and with ``resample`` of any record, is put on the period of the axis. What was done stands in the record's
-    ``warnings``, and which column was taken for what in ``assigned``. Raises :class:`RecordError` in one line where it
-    is not certain, or where the numbers cannot be of this axis. ``window`` takes a part [s] of the file's time alone.
+    Without a table, columns are recognised by their names or titles. Irregular time of an export, and with ``resample``
+    of any record, is resampled to the period of the axis. The ``warnings`` of the record say what was changed,
+    ``assigned`` which column is which. ``window`` [s] reads a part of the file's time. Raises :class:`RecordError`, a
+    message of one line, where a column is uncertain or the numbers cannot be of this axis.
     """
     layout = replace(layout_of(axis), resample=resample, window=window)
     if max_bytes is None:
@@ -72,7 +69,7 @@ def import_record(
 
 
 def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYTES) -> Record:
-    """Read the ``content`` of a file called ``name`` in the same way.
+    """Read the ``content`` of a file called ``name`` as :func:`import_record` does.
 
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2019").replace(record={"position": {"column": "Lageistwert", "unit": "mm"}})
@@ -86,7 +83,7 @@ def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYT
 
 
 def layout_of(axis: Axis) -> Layout:
-    """What a reader has to know of ``axis``."""
+    """The layout of a record of ``axis``."""
     return Layout(
         units=axis.units,
         columns=axis.record,

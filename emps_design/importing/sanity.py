@@ -1,7 +1,7 @@
-"""Whether a record can be of this axis: units, scales, exchanged columns. Nothing is guessed or mended.
+"""Plausibility of a record for its axis: units, scales, exchanged columns. Nothing is guessed or corrected.
 
-What cannot be is refused in one line, unless ``[record]`` accepts it by its name; what is odd is noted. Only a file
-whose columns were mapped or recognised is looked at: one with the names of a record is taken at its word.
+The impossible is refused in one line, unless ``[record]`` accepts it by name; the odd is noted. Only files with mapped
+or recognised columns are checked, not those with the column names of a record.
 """
 
 from __future__ import annotations
@@ -17,23 +17,20 @@ from emps_design.records import Record
 from emps_design.records.layout import NAMED, Doubt
 
 ON_THE_CLOCK = 1e-3  # of the axis's period
-WEAK_LOOP = 20.0  # times as far as it is told, or as little, no controller lets an axis move
-STIFF = 0.999  # correlation of position and reference of a loop that follows; there the factor is between the next two
-FOLLOWS = (0.5, 2.0)
-ROUGHER = 3.0  # times: a position is never rougher than the force that it is two integrals of
-BENDS = 0.1  # of its deviation, by which a command bends over the span in which the two are compared
+WEAK_LOOP = 20.0  # largest ratio of position to reference under any controller, or of reference to position
+STIFF = 0.999  # least correlation of position and reference of a loop that follows
+FOLLOWS = (0.5, 2.0)  # ratio of position to reference of such a loop
+ROUGHER = 3.0  # largest roughness of a position over that of the command
+BENDS = 0.1  # of its deviation, least second difference of the command over the span of the comparison
 OPPOSED = -0.8  # correlation of the motor's force with what the motion needs
-IMPOSSIBLE_FORCE = 300.0  # times what the motion needs, or as little: a scale is wrong by 1000
-INERTIAL = 0.1  # of the command, from which on its part that follows the acceleration says how large the mass is
-ONE_VELOCITY = 1e-3  # of the largest, within which it has to stay for its acceleration to say nothing
+IMPOSSIBLE_FORCE = 300.0  # ratio to the force that the motion needs, or its inverse: a scale is wrong by 1000
+INERTIAL = 0.1  # of the command, least inertial part that determines the mass
+ONE_VELOCITY = 1e-3  # of the largest velocity, deviation below which it is constant
 ODD_FORCE = 10.0
-ON_GRID, OFF_GRID = 0.03, 0.08  # of an encoder step, that increments are off it on average; 0.25 where there is no grid
-EXPLAINS = 1.05  # times better: the position explains the command, the reference does not
-EXACTLY, SELDOM = (
-    1e-6,
-    1e-3,
-)  # on the grid, and off it: at speeds of whole steps a sample, seldom
-BEST = 0.35  # share of the command that has to be explained before that says anything
+ON_GRID, OFF_GRID = 0.03, 0.08  # of an encoder step, mean distance of increments from it; 0.25 without a grid
+EXPLAINS = 1.05  # ratio of the residuals of position and reference above which the reference explains better
+EXACTLY, SELDOM = 1e-6, 1e-3  # on the grid exactly; off it seldom, at speeds of whole steps a sample
+BEST = 0.35  # share of the command that the better one may leave
 BEYOND_LIMIT, FAR_BEYOND_LIMIT = 1.02, 10.0
 WINDOW = 0.01  # s, over which a motion is smoothed
 NAMES = {
@@ -45,15 +42,15 @@ NAMES = {
 }
 
 
-Found = Iterator[tuple[Doubt | None, str]]  # what is doubted, by its name, or no more than noted
+Doubts = Iterator[tuple[Doubt | None, str]]  # the doubt, None for a mere note, and its text
 
 
 def check_against(axis: Axis, record: Record, source: str) -> Record:
-    """Return ``record`` with notes on what is odd; raise :class:`RecordError` where it cannot be of this ``axis``.
+    """Return ``record`` with notes on its oddities; raise :class:`RecordError` where it cannot be of this ``axis``.
 
-    What the ``[record]`` table accepts by its name is noted too.
+    Doubts that the ``[record]`` table accepts are noted too.
     """
-    if all(one.how == NAMED for one in record.assigned):
+    if all(assignment.how == NAMED for assignment in record.assigned):
         return record
     notes = []
     for check in (_same_unit, _rough, _exchanged, _clock, _limit, _force):
@@ -64,20 +61,20 @@ def check_against(axis: Axis, record: Record, source: str) -> Record:
     return replace(record, warnings=(*record.warnings, *notes))
 
 
-def _clock(axis: Axis, record: Record) -> Found:
+def _clock(axis: Axis, record: Record) -> Doubts:
     ratio = record.period / axis.sampling.period
     if abs(ratio - 1.0) < ON_THE_CLOCK:
         return
-    found = f"found a sampling period of {1e3 * record.period:.6g} ms"
+    period = f"found a sampling period of {1e3 * record.period:.6g} ms"
     expected = f"the axis's {1e3 * axis.sampling.period:.6g} ms"
-    if abs(ratio) > 30 and _named(ratio):
-        yield "sampling-period", f"column t: {found}, expected {expected}; {_named(ratio)}?"
+    if abs(ratio) > 30 and _confusion(ratio):
+        yield "sampling-period", f"column t: {period}, expected {expected}; {_confusion(ratio)}?"
     else:
-        yield None, f"t: {found}, not {expected}"
+        yield None, f"t: {period}, not {expected}"
 
 
-def _same_unit(axis: Axis, record: Record) -> Found:
-    """Position and reference move together, by as much."""
+def _same_unit(axis: Axis, record: Record) -> Doubts:
+    """Position and reference must move in the same direction and by the same amount."""
     if not record.q_ref_recorded or not (np.ptp(record.q_ref) and np.ptp(record.q)):
         return
     together = correlation(record.q, record.q_ref)
@@ -90,7 +87,7 @@ def _same_unit(axis: Axis, record: Record) -> Found:
     slope = float(np.std(record.q) / np.std(record.q_ref))
     low, high = FOLLOWS if together > STIFF else (1.0 / WEAK_LOOP, WEAK_LOOP)
     if together > 0.9 and not low < slope < high:
-        known = f" ({_named(slope)}?)" if _named(slope) else ""
+        known = f" ({_confusion(slope)}?)" if _confusion(slope) else ""
         yield (
             "reference-scale",
             f"columns q and q_ref: found a position that is {slope:.4g} times the reference{known}, expected both in "
@@ -98,10 +95,10 @@ def _same_unit(axis: Axis, record: Record) -> Found:
         )
 
 
-def _rough(axis: Axis, record: Record) -> Found:
-    """A position is two integrals of the command, and never rougher, but for the steps and the noise of its encoder.
+def _rough(axis: Axis, record: Record) -> Doubts:
+    """A position, the double integral of the command, is never rougher than that, up to encoder steps and noise.
 
-    So both are looked at over a span in which the command bends visibly: there these are nothing.
+    So both are compared over a span in which the second difference of the command is far above these.
     """
     span, roughness = 1, _roughness(record.u, 1)
     while roughness < BENDS and 8 * span < len(record):
@@ -111,44 +108,44 @@ def _rough(axis: Axis, record: Record) -> Found:
         yield "rough-position", _exchange("q and u", "a position that is rougher than the command")
 
 
-def _exchanged(axis: Axis, record: Record) -> Found:
+def _exchanged(axis: Axis, record: Record) -> Doubts:
     if not record.q_ref_recorded:
         return
     q, q_ref, u = record.q, record.q_ref, record.u
     if np.ptp(q_ref) and abs(correlation(q, u)) > STIFF > 0.9 > abs(correlation(q, q_ref)):
-        found = "a command that the position follows, and a reference that it does not"
-        yield "exchanged-command", _exchange("q_ref and u", found)
+        observation = "a command that the position follows, and a reference that it does not"
+        yield "exchanged-command", _exchange("q_ref and u", observation)
     step = axis.sampling.encoder_resolution
     off, reference_off = _off_grid(q, step), _off_grid(q_ref, step)
     if off is not None and reference_off is not None:
         if reference_off < ON_GRID and off > (OFF_GRID if reference_off > EXACTLY else SELDOM):
-            found = "a reference in steps of the encoder, and a position that is not"
-            yield "exchanged-reference", _exchange("q and q_ref", found)
+            observation = "a reference in steps of the encoder, and a position that is not"
+            yield "exchanged-reference", _exchange("q and q_ref", observation)
             return
         if off < ON_GRID:
             return
     if correlation(q, q_ref) > STIFF:
         explained, other = unexplained(record, q), unexplained(record, q_ref)
         if other < BEST and explained > EXPLAINS * other:
-            found = "a reference that explains the command better than the position"
-            yield "exchanged-reference", _exchange("q and q_ref", found)
+            observation = "a reference that explains the command better than the position"
+            yield "exchanged-reference", _exchange("q and q_ref", observation)
 
 
-def _exchange(columns: str, found: str) -> str:
-    return f"columns {columns}: found {found}; are they exchanged in [record]?"
+def _exchange(columns: str, observation: str) -> str:
+    return f"columns {columns}: found {observation}; are they exchanged in [record]?"
 
 
-def _limit(axis: Axis, record: Record) -> Found:
+def _limit(axis: Axis, record: Record) -> Doubts:
     limit, largest = axis.drive.command_limit, float(np.max(np.abs(record.u)))
-    found = f"found up to {largest:.4g}, expected at most the limit of {limit:.4g} in the axis file"
+    comparison = f"found up to {largest:.4g}, expected at most the limit of {limit:.4g} in the axis file"
     if largest > FAR_BEYOND_LIMIT * limit:
-        yield "command-limit", f"column u: {found}; correct unit or scale of command in [record]"
+        yield "command-limit", f"column u: {comparison}; correct unit or scale of command in [record]"
     elif largest > BEYOND_LIMIT * limit:
-        yield None, f"u: {found}"
+        yield None, f"u: {comparison}"
 
 
-def _force(axis: Axis, record: Record) -> Found:
-    """The motor's force against what mass and friction of the axis need for this motion."""
+def _force(axis: Axis, record: Record) -> Doubts:
+    """The motor's force against the force that mass and friction of the axis need for this motion."""
     if axis.drive.command == "duty":  # of a supply, against a back-EMF
         if record.supply is None:
             return
@@ -181,13 +178,13 @@ def _force(axis: Axis, record: Record) -> Found:
             f"columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis would make "
             "under this command, expected about that mass; correct unit or scale of both in [record]",
         )
-    known = f" ({_named(ratio)}?)" if _named(ratio) else ""
+    known = f" ({_confusion(ratio)}?)" if _confusion(ratio) else ""
     if not 1.0 / ODD_FORCE < ratio < ODD_FORCE:
         yield None, f"u and q: {words}{known}; check their units"
 
 
 def _motion(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Acceleration and velocity of ``q`` over a window, and the command weighted as the acceleration is."""
+    """Acceleration and velocity of ``q`` over a window, and the command with the weights of the acceleration."""
     n = min(max(2, round(WINDOW / record.period)), (q.size - 1) // 4)
     width = n * record.period
     a = (q[2 * n :] - 2 * q[n:-n] + q[: -2 * n]) / width**2
@@ -217,7 +214,7 @@ def motion_columns(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _off_grid(values: np.ndarray, step: float) -> float | None:
-    """By how much of an encoder ``step`` the increments of ``values`` are off whole ones; None where nothing says."""
+    """Mean distance of the increments of ``values`` from whole steps, in encoder steps; None for too few increments."""
     increments = np.diff(values)
     increments = increments[np.abs(increments) > 0.4 * step] if step > 0.0 else increments[:0]
     if increments.size < 50:
@@ -227,7 +224,7 @@ def _off_grid(values: np.ndarray, step: float) -> float | None:
 
 
 def _roughness(values: np.ndarray, span: int) -> float:
-    """How much ``values`` (n,) bend over a ``span`` of samples, as a share of their deviation; 0 without one."""
+    """Deviation of the second differences of ``values`` (n,) over ``span`` samples, over their own; 0 if constant."""
     bends = values[2 * span :] - 2.0 * values[span:-span] + values[: -2 * span]
     return float(np.std(bends) / np.std(values)) if np.ptp(values) else 0.0
 
@@ -238,7 +235,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.mean((a - a.mean()) * (b - b.mean()))) / spread if spread > 0.0 else 0.0
 
 
-def _named(ratio: float) -> str:
-    """What mistaken unit gives this ratio, or its inverse; "" for none that is known."""
+def _confusion(ratio: float) -> str:
+    """The confusion of units that gives this ratio or its inverse; "" for none that is known."""
     size = max(ratio, 1.0 / ratio) if ratio > 0.0 else 0.0
     return next((words for factor, words in NAMES.items() if abs(size / factor - 1.0) < 0.03), "")
