@@ -1,10 +1,9 @@
-"""Archives: NumPy files and MATLAB files of both formats, plain numbers by their names.
+"""Arrays of numbers from NumPy archives and MATLAB files, by name.
 
-NumPy archives. Members are plain numbers: an object array, which only unpickling could read, is refused.
+NumPy archives: object arrays, which would have to be unpickled, are refused.
 
-MATLAB v5 files (``save -v7``, ``save -v6``): real numeric arrays, and on demand structures of arrays.
-
-A reader of its own, in bounds-checked Python: scipy's compiled one ends the whole process on some damaged files.
+MATLAB v5 files (``save -v7``, ``save -v6``): real numeric arrays, and on demand structures of arrays. The reader is
+bounds-checked Python, since scipy's compiled one crashes the process on some damaged files.
 Format: MathWorks, "MAT-File Format", level 5: a 128-byte header, then elements of (type, size, data), each on a
 multiple of 8 bytes, that are arrays or compressed arrays; an array is flags, dimensions, name and real part.
 
@@ -48,12 +47,12 @@ def read_archive(file: BinaryIO, source: str, max_bytes: int) -> dict[str, np.nd
             return {member.filename.removesuffix(".npy"): _member(archive, member, source) for member in members}
     except RecordError:
         raise
-    except Exception as error:  # whatever a damaged archive makes zipfile raise, it is one thing to the user
+    except Exception as error:  # a damaged archive may make zipfile raise anything
         raise RecordError(f"{source}: damaged .npz archive ({error or type(error).__name__}); save it again") from error
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: str) -> np.ndarray:
-    """One .npy member, its size checked against its header before anything is allocated."""
+    """One .npy member; its size is checked against its header before memory is allocated."""
     with archive.open(member) as stream:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -76,7 +75,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: str) -> n
             filled += piece
         if filled < size:
             raise RecordError(f"{source}: {member.filename}: found {filled} bytes of data, expected {size}")
-        stream.read(1)  # past the end, where the archive's check sum is compared
+        stream.read(1)  # reading past the end checks the check sum
     return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C")
 
 
@@ -92,11 +91,11 @@ def read_v5(file: BinaryIO, source: str, max_bytes: int, structures: bool = Fals
     """
     order = "<" if file.read(HEADER)[126:128] == b"IM" else ">"
     columns: dict[str, np.ndarray] = {}
-    left = max_bytes
+    remaining = max_bytes
     for kind, data in _variables(file, order, source, max_bytes):
-        unpacked = _unpacked(data, source, left) if kind == COMPRESSED else data
-        left -= len(unpacked)
-        if left < 0:
+        unpacked = _unpacked(data, source, remaining) if kind == COMPRESSED else data
+        remaining -= len(unpacked)
+        if remaining < 0:
             raise RecordError(f"{source}: found more than {max_bytes} bytes unpacked, expected at most that")
         inside = _elements(memoryview(unpacked), order, source) if kind == COMPRESSED else [(kind, data)]
         for part, array in inside:
@@ -143,19 +142,19 @@ def _elements(data: memoryview, order: str, source: str) -> Iterator[tuple[int, 
         at = following
 
 
-def _unpacked(data: memoryview, source: str, left: int) -> bytes:
+def _unpacked(data: memoryview, source: str, remaining: int) -> bytes:
     stream = zlib.decompressobj()
     try:
-        unpacked = stream.decompress(data, left + 1)
+        unpacked = stream.decompress(data, remaining + 1)
     except zlib.error as error:
         raise _damaged(source, str(error)) from error
-    if len(unpacked) <= left and not stream.eof:
+    if len(unpacked) <= remaining and not stream.eof:
         raise _damaged(source, "it ends inside a compressed variable")
     return unpacked
 
 
 def _array(data: memoryview, order: str, source: str, structures: bool, inside: bool = False) -> dict[str, np.ndarray]:
-    """The array of one element by its name, or nothing for what is not asked for, cells and objects."""
+    """The array of one element by its name; nothing for cells, objects and classes that are not requested."""
     parts = list(_elements(data, order, source))
     if not parts or len(parts[0][1]) < 4:
         raise _damaged(source, "a variable has no flags")
@@ -193,20 +192,20 @@ def _numbers(
 
 
 def _structure(parts: list[tuple[int, memoryview]], order: str, source: str) -> dict[str, np.ndarray]:
-    """The arrays in the fields of one structure; nothing of an array of structures, nor of one inside another."""
+    """The arrays in the fields of one structure; nothing for arrays of structures and nested structures."""
     if len(parts) < 5 or not _whole(parts, 3) or len(parts[3][1]) < 4:
         raise _damaged(source, "a structure has no fields")
     length = int(np.frombuffer(parts[3][1][:4], dtype=f"{order}i4")[0])
     names, fields = bytes(parts[4][1]), parts[5:]
     if length <= 0 or len(names) // length != len(fields):
         return {}
-    found = {}
+    columns = {}
     for i, (kind, data) in enumerate(fields):
         if kind == ARRAY and len(data):
             name = f"{_text(parts[2][1])}.{_text(names[i * length : (i + 1) * length])}"
             for values in _array(data, order, source, True, inside=True).values():
-                found[name] = values
-    return found
+                columns[name] = values
+    return columns
 
 
 def _text(data: memoryview | bytes) -> str:
@@ -229,7 +228,7 @@ def read_v73(file: BinaryIO, source: str, max_bytes: int, structures: bool = Fal
     """
     import h5py
 
-    def arrays(group: h5py.Group, before: str, left: int) -> dict[str, np.ndarray]:
+    def arrays(group: h5py.Group, before: str, remaining: int) -> dict[str, np.ndarray]:
         columns: dict[str, np.ndarray] = {}
         for name in group:
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
@@ -237,8 +236,8 @@ def read_v73(file: BinaryIO, source: str, max_bytes: int, structures: bool = Fal
             data = group[name]
             if isinstance(data, h5py.Group):
                 if structures and not before:
-                    inside = arrays(data, f"{name}.", left)
-                    left -= sum(values.nbytes for values in inside.values())
+                    inside = arrays(data, f"{name}.", remaining)
+                    remaining -= sum(values.nbytes for values in inside.values())
                     columns.update(inside)
                 continue
             pair = structures and data.dtype.names == ("real", "imag")
@@ -248,8 +247,8 @@ def read_v73(file: BinaryIO, source: str, max_bytes: int, structures: bool = Fal
                 raise RecordError(f"{source}: column {name!r}: found data kept outside the file, expected it inside")
             if data.attrs.get("MATLAB_empty", 0) or data.shape is None:
                 continue
-            left -= data.dtype.itemsize * math.prod(data.shape)
-            if left < 0:
+            remaining -= data.dtype.itemsize * math.prod(data.shape)
+            if remaining < 0:
                 raise RecordError(f"{source}: found more than {max_bytes} bytes of arrays, expected at most that")
             values = data[()]
             columns[before + name] = values["real"] + 1j * values["imag"] if pair else values
@@ -260,7 +259,7 @@ def read_v73(file: BinaryIO, source: str, max_bytes: int, structures: bool = Fal
             return arrays(opened, "", max_bytes)
     except RecordError:
         raise
-    except Exception as error:  # whatever a damaged file makes the reader raise, it is one thing to the user
+    except Exception as error:  # a damaged file may make h5py raise anything
         raise RecordError(
             f"{source}: damaged MATLAB v7.3 file ({error or type(error).__name__}); save it again"
         ) from error

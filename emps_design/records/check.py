@@ -1,6 +1,6 @@
-"""The one check for all: what is not a trustworthy record is refused here, in one line, and nothing is repaired.
+"""The check of every record: an invalid one is refused with a message of one line, and nothing is repaired.
 
-A position that jumps: it wraps, is set anew, has a bad sample, or some are lost. No axis moves like that.
+A position that jumps is refused: it wraps, was reset, or has a bad or missing sample.
 """
 
 from __future__ import annotations
@@ -16,35 +16,35 @@ from emps_design.records.columns import OPTIONAL
 from emps_design.records.layout import KEYS, LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
 from emps_design.stretches import stretches
 
-BESIDE = np.array([-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6])  # increments it is held against, but a jump back
-BACK = 0.1  # of a jump, within which another takes it back
-FASTER = 5.0  # times as large as those: what hits a stop is not, and a sample that was lost is twice as large
-ROUGHER = 100.0  # times what an increment commonly differs from those next to it
+BESIDE = np.array([-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6])  # neighbours of an increment; a jump back is left out
+BACK = 0.1  # of a jump, within which another reverses it
+FASTER = 5.0  # times the neighbours, the least jump: an impact is smaller, a missing sample doubles an increment
+ROUGHER = 100.0  # times the usual change from increment to increment
 OF_STROKE = 1e-3
-PART, STRETCHES = 50_000, 10  # samples at a time, which copies no long record; of so many it is told what is usual
-LOST = 1.5  # times as far as in the samples beside: one that is missing makes two
+PART, STRETCHES = 50_000, 10  # samples in a block, so that no long record is copied; blocks for a typical figure
+LOST = 1.5  # least increment over its neighbours where samples are missing: one missing sample doubles it
 DUST = 1e-9  # of the stroke
-LEAP = 100.0  # times what one sample in a thousand changes in its step
+LEAP = 100.0  # times the 99.9 % quantile of the changes of the increments
 
-PLAIN = Layout()  # what a record is without an axis: metres and volts, by the names of the contract
-SHORTEST = 50  # samples; less than this says nothing about an axis
+PLAIN = Layout()  # of a record without an axis: metres and volts, by the names of the contract
+SHORTEST = 50  # samples; fewer do not describe an axis
 CUT = "take a part of it with import and its `window`, or split it"
 NOTED_SATURATION = 0.005  # share of samples
 AT_LIMIT = 0.98  # of the limit
-IN_STEPS = 0.9  # of the samples that keep the command of the one before: it is set in steps, and not cut
-LARGEST = 1e15  # of any column; beyond it the checks themselves would overflow
-# Beyond these a unit was mistaken: no single axis is longer, faster or stronger.
+IN_STEPS = 0.9  # share of unchanged samples above which a command is set in steps rather than saturated
+LARGEST = 1e15  # of any column; the checks would overflow beyond it
+# Beyond these a unit is wrong: no single axis is longer, faster or stronger.
 LONGEST_STROKE = {"linear": 20.0, "rotary": 1e5}  # m, rad
 HIGHEST_SPEED = {"linear": 20.0, "rotary": 2e4}  # m/s, rad/s
 HIGHEST_VOLTAGE = 1000.0  # V
-HIGHEST = 1e6  # N, N m, and commands that are no voltage
-SAME_TIME = 1e-3  # of a period, within which two times are the same
+HIGHEST = 1e6  # N, N m, and commands other than a voltage
+SAME_TIME = 1e-3  # of a period, within which two times are equal
 SMALLEST_STROKE = 1e-5  # m, rad
 SMALLEST_VOLTAGE = 1e-3  # V
 
 
 def unwrap(named: dict[str, np.ndarray], assigned: Iterable[Assignment]) -> None:
-    """Let a position and a reference that are ``assigned`` with a modulo go on where they begin anew, side by side.
+    """Unwrap, in place, a position and a reference that are ``assigned`` with a modulo, and keep them in the same turn.
 
     >>> from emps_design.records.layout import Column
     >>> angle = Assignment("q", "angle", "deg", 1.0, "mapped", Column(column="angle", modulo=360.0))
@@ -54,9 +54,9 @@ def unwrap(named: dict[str, np.ndarray], assigned: Iterable[Assignment]) -> None
     [358.0, 359.0, 360.0, 361.0]
     """
     spans = {
-        one.name: one.entry.modulo * abs(one.factor)
-        for one in assigned
-        if one.entry is not None and one.entry.modulo is not None
+        assignment.name: assignment.entry.modulo * abs(assignment.factor)
+        for assignment in assigned
+        if assignment.entry is not None and assignment.entry.modulo is not None
     }
     for name, span in spans.items():
         named[name][:] = np.unwrap(named[name], period=span)
@@ -102,9 +102,9 @@ def nothing_lost(q: np.ndarray, q_ref: np.ndarray, t: np.ndarray, unit: str, sou
 
 
 def _leap(values: np.ndarray) -> tuple[int, float]:
-    """Where the motion leaps ahead most, and in times of what one increment in a thousand changes by."""
+    """Index of the largest leap ahead, and its size over the 99.9 % quantile of the changes of the increments."""
     away = np.concatenate([_away(np.diff(part)) for part in _samples_of(values)])
-    more = away[away > DUST * np.ptp(values)]  # a quantile of an axis that mostly rests is nothing but rounding
+    more = away[away > DUST * np.ptp(values)]  # of an axis that mostly rests the quantile would be rounding
     usual = max(float(np.quantile(away, 0.999)), float(np.median(more)) if more.size else 0.0)
     best, place = 0.0, 0
     for start in range(0, values.size, PART):
@@ -113,7 +113,7 @@ def _leap(values: np.ndarray) -> tuple[int, float]:
             break
         before, now, after = increments[:-2], increments[1:-1], increments[2:]
         away = _away(increments)
-        # Against its motion a position wraps; one that starts or stops at speed leaps past one neighbour alone.
+        # A wrap goes against the motion; a start or stop at speed exceeds one neighbour alone.
         away[(now * (before + after) < 0.0) | (np.abs(now) < LOST * np.maximum(np.abs(before), np.abs(after)))] = 0.0
         k = int(np.argmax(away))
         if away[k] > best:
@@ -122,17 +122,17 @@ def _leap(values: np.ndarray) -> tuple[int, float]:
 
 
 def _away(increments: np.ndarray) -> np.ndarray:
-    """By how much each of the increments (n,) but the outer ones differs from the mean of its neighbours."""
+    """Difference (n - 2,) of each of the inner increments (n,) to the mean of its neighbours."""
     return np.abs(increments[1:-1] - 0.5 * (increments[:-2] + increments[2:]))
 
 
 def _samples_of(values: np.ndarray) -> list[np.ndarray]:
-    """Stretches all over a long column, which tell what is usual without a copy of it."""
+    """Blocks spread over a long column, for typical figures without a copy of it."""
     step = max(PART, values.size // STRETCHES)
     return [values[start : start + PART] for start in range(0, values.size - 3, step)]
 
 
-def checked(
+def check_columns(
     columns: dict[str, Any],
     source: str,
     first_row: int = 0,
@@ -142,37 +142,37 @@ def checked(
 ) -> dict[str, Any]:
     """Return the signals of a record from ``columns`` (title to values), or raise :class:`RecordError`.
 
-    ``source`` names the file and ``first_row`` the row of the first sample in messages. ``period`` [s] overrules the
-    one found in the time column. ``assigned`` says which column is what, by default as ``layout`` has it. ``columns``
-    is emptied on the way: no signal of a long record is in memory twice.
+    ``source`` names the file and ``first_row`` the row of the first sample in messages. ``period`` [s] overrides that
+    of the time column. ``assigned`` says which column is which, by default as in ``layout``. ``columns`` is emptied, so
+    that no signal of a long record is in memory twice.
     """
     assigned = assign(list(columns), layout, source) if assigned is None else assigned
-    n = next(np.size(columns[one.title]) for one in assigned if one.name == "t")
+    n = next(np.size(columns[assignment.title]) for assignment in assigned if assignment.name == "t")
     _fits(n, source, layout.longest)
-    # One block for all signals: memory that is freed beside it goes back, however long the record.
+    # One block for all signals, so that the memory of the columns can be returned to the system.
     signals = iter(np.empty((len(assigned), n)))
     named: dict[str, np.ndarray] = {}
     notes: list[str] = []
-    for one in assigned:
-        with np.errstate(over="ignore"):  # an overflow is infinite, and refused for that
-            named[one.name] = np.multiply(
-                _vector(columns.pop(one.title), one, n, source), one.factor, out=next(signals)
+    for assignment in assigned:
+        with np.errstate(over="ignore"):  # an overflow is infinite, and refused later
+            named[assignment.name] = np.multiply(
+                _vector(columns.pop(assignment.title), assignment, n, source), assignment.factor, out=next(signals)
             )
-        if one.how == NAMED and one.factor != 1.0:
-            notes.append(f"{one.name}: converted from {one.unit} to {layout.unit(one.name)}")
-        elif one.how == RECOGNISED:
-            notes.append(f"{one.name}: taken from column {one.title!r} [{one.unit}]")
+        if assignment.how == NAMED and assignment.factor != 1.0:
+            notes.append(f"{assignment.name}: converted from {assignment.unit} to {layout.unit(assignment.name)}")
+        elif assignment.how == RECOGNISED:
+            notes.append(f"{assignment.name}: taken from column {assignment.title!r} [{assignment.unit}]")
     part = slice(0, n) if layout.window is None else _part(named["t"], layout.window, source)
     for column, values in named.items():
         _finite(values[part], column, layout.unit(column), source, first_row + part.start)
-    whole = _told(named, part)
+    whole = _rows_without_gaps(named, part)
     if whole != slice(0, n):
         columns = {title: values[whole] if np.size(values) == n else values for title, values in columns.items()}
         named = {name: values[whole] for name, values in named.items()}
         first_row, n = first_row + whole.start, whole.stop - whole.start
         part = slice(part.start - whole.start, part.stop - whole.start)
     unwrap(named, assigned)
-    late = {one.name: one.delay for one in assigned if one.delay}
+    late = {assignment.name: assignment.delay for assignment in assigned if assignment.delay}
     _fits(part.stop - part.start, source, LONGEST)
     if late:
         part, delay_notes = _shift(named, late, part, source, first_row + part.start)
@@ -180,11 +180,11 @@ def checked(
     if layout.window is not None or part != slice(0, n):
         columns = {title: values[part] if np.size(values) == n else values for title, values in columns.items()}
         named = {name: values[part] for name, values in named.items()}
-        if layout.window is not None:  # the block, most of which is cut off, is let go
+        if layout.window is not None:  # copies, so that the block can be freed
             named = {name: values.copy() for name, values in named.items()}
         first_row, n = first_row + part.start, named["t"].size
-    exported = layout.resample or any(one.how != NAMED for one in assigned)
-    found, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
+    exported = layout.resample or any(assignment.how != NAMED for assignment in assigned)
+    clock_period, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
     notes += clock_notes
     if resampled is not None:
         columns = {title: _held(values, named["t"], resampled) for title, values in columns.items()}
@@ -193,7 +193,7 @@ def checked(
         _fits(n, source, LONGEST)
     elif (count := len(stretches(named.get("bridged", named["t"]) <= 0.0))) > 1:
         notes.append(f"t: {count} pieces; what lies between takes no part")
-    period = period or found
+    period = period or clock_period
     recorded, stood_in = _stand_ins(named, period, layout)
     notes += stood_in
     if resampled is not None and "q" not in resampled.measured:
@@ -221,9 +221,9 @@ def checked(
 
 
 def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> tuple[bool, list[str]]:
-    """Put into ``named`` what stands for a position or a reference that has no column; return if there is one, notes.
+    """Add substitutes for a missing position or reference to ``named``; return if the reference is recorded, and notes.
 
-    Where no controller needs a reference, one that is constant is none.
+    Where no controller needs a reference, a constant one counts as missing.
     """
     notes, why = [], "not recorded"
     if "q" not in named:
@@ -246,7 +246,7 @@ def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> t
 
 
 def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
-    """The position (n,) from 0 on that ``velocity`` (n,) makes, by the trapezoidal rule.
+    """The integral (n,) of ``velocity`` (n,) from 0 on, by the trapezoidal rule.
 
     >>> _integral(np.array([0.0, 2.0, 2.0]), 0.5).tolist()
     [0.0, 0.5, 1.5]
@@ -258,7 +258,7 @@ def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
 
 
 def _part(t: np.ndarray, window: tuple[float, float], source: str) -> slice:
-    """The samples whose time is inside ``window`` [s]."""
+    """The samples with a time in ``window`` [s]."""
     inside = np.flatnonzero((t >= window[0]) & (t <= window[1]))
     if not inside.size:
         raise RecordError(
@@ -268,8 +268,8 @@ def _part(t: np.ndarray, window: tuple[float, float], source: str) -> slice:
     return slice(int(inside[0]), int(inside[-1]) + 1)
 
 
-def _told(named: Mapping[str, np.ndarray], part: slice) -> slice:
-    """The rows around ``part`` in which every signal has a number: what is missing elsewhere does not matter."""
+def _rows_without_gaps(named: Mapping[str, np.ndarray], part: slice) -> slice:
+    """The rows around ``part`` without a gap in any signal."""
     n = named["t"].size
     start, stop = 0, n
     for values in named.values() if part != slice(0, n) else ():
@@ -283,10 +283,10 @@ def _told(named: Mapping[str, np.ndarray], part: slice) -> slice:
 def _shift(
     named: Mapping[str, np.ndarray], late: Mapping[str, float], part: slice, source: str, first_row: int
 ) -> tuple[slice, list[str]]:
-    """Move the ``late`` signals (name to delay [s]) within ``part`` to when they act; return what has them all, notes.
+    """Advance the ``late`` signals (name to delay [s]) within ``part``; return the samples that have them all, notes.
 
-    Their values come from all of the file that joins the part without a gap; where that ends, none is made up. Raises
-    :class:`RecordError` where time has a gap or goes back within the part, or where too little is left.
+    Values are interpolated from all rows that join the part without a gap, never extrapolated. Raises
+    :class:`RecordError` where time has a gap or goes back within the part, or where too few samples remain.
     """
     t = named["t"]
     inside = t[part]
@@ -321,7 +321,7 @@ def _shift(
 
 
 def _joined(t: np.ndarray, part: slice, typical: float) -> slice:
-    """The rows around ``part`` up to where the time ``t`` [s], of ``typical`` steps [s], has a gap or goes back."""
+    """The rows around ``part`` as far as time ``t`` [s], with steps ``typical`` [s], has no gap nor goes back."""
     step = np.diff(t)
     ends = (step <= 0.0) | (step > GAP * typical)
     before, after = np.flatnonzero(ends[: part.start]), np.flatnonzero(ends[part.stop - 1 :])
@@ -330,7 +330,7 @@ def _joined(t: np.ndarray, part: slice, typical: float) -> slice:
 
 
 def _held(values: Any, t: np.ndarray, resampled: Resampled) -> Any:
-    """A further column of the file on the new clock, each value held until the next; anything else as it is."""
+    """A further column of the file on the new clock, each value held until the next; other objects unchanged."""
     if np.size(values) != t.size or np.asarray(values).dtype.kind not in "buif":
         return values
     return held(t, np.ravel(values), resampled.signals["t"] + t[0])
@@ -343,14 +343,18 @@ def _fits(n: int, source: str, most: int) -> None:
         raise RecordError(f"{source}: found {n} sample{'' if n == 1 else 's'}, expected at least {SHORTEST}")
 
 
-def _vector(values: Any, one: Assignment, n: int, source: str) -> np.ndarray:
+def _vector(values: Any, assignment: Assignment, n: int, source: str) -> np.ndarray:
     array = np.asarray(values)
     if array.dtype.kind not in "buif":
-        raise RecordError(f"{source}: column {one.title!r}: found {array.dtype} values, expected real numbers")
+        raise RecordError(f"{source}: column {assignment.title!r}: found {array.dtype} values, expected real numbers")
     if array.ndim > 1 and array.size != max(array.shape):
-        raise RecordError(f"{source}: column {one.title!r}: found shape {array.shape}, expected one value per sample")
+        raise RecordError(
+            f"{source}: column {assignment.title!r}: found shape {array.shape}, expected one value per sample"
+        )
     if array.size != n:
-        raise RecordError(f"{source}: column {one.name}: found {array.size} samples, expected {n} as in column t")
+        raise RecordError(
+            f"{source}: column {assignment.name}: found {array.size} samples, expected {n} as in column t"
+        )
     return array.ravel()
 
 
@@ -386,19 +390,19 @@ def _plausible(
     hint = {"mm": "in mm: divide it by 1000, or title the column '{0} [mm]'", "deg": "in deg: title it '{0} [deg]'"}
     longest, fastest = LONGEST_STROKE[layout.units.motion], HIGHEST_SPEED[layout.units.motion]
     positions = [column for column in ("q", "q_ref") if column in named]
-    mapped = {one.name for one in assigned if one.entry is not None}
+    mapped = {assignment.name for assignment in assigned if assignment.entry is not None}
     for column in positions:
         stroke = float(np.ptp(named[column]))
         step = np.diff(named[column])
         speed = float(np.quantile(np.abs(step, out=step), 0.99, overwrite_input=True)) / period
         if stroke > longest or speed > fastest:
-            found = f"a stroke of {stroke:.4g} {unit}" if stroke > longest else f"a speed of {speed:.4g} {unit}/s"
+            excess = f"a stroke of {stroke:.4g} {unit}" if stroke > longest else f"a speed of {speed:.4g} {unit}/s"
             most = f"{longest:g} {unit}" if stroke > longest else f"{fastest:g} {unit}/s"
             why = f"it is probably {hint[usual].format(column)}"
             if column in mapped:
                 what = KEYS[column] if stroke > longest else f"{KEYS[column]}, or of time,"
                 why = f"correct unit or scale of {what} in [record]"
-            raise RecordError(f"{source}: column {column}: found {found}, expected {where} (at most {most}); {why}")
+            raise RecordError(f"{source}: column {column}: found {excess}, expected {where} (at most {most}); {why}")
     if len(positions) == 2:
         ratio = float(np.ptp(named["q_ref"]) / np.ptp(named["q"]))
         if ratio > 100.0:
@@ -419,7 +423,7 @@ def _plausible(
 
 
 def _notes(named: Mapping[str, np.ndarray], layout: Layout, recorded: bool) -> list[str]:
-    """What is odd but may be meant."""
+    """Notes on signals that are odd but may be intended."""
     notes = [
         f"{column}: constant at {named[column][0]:g} {layout.unit(column)}"
         for column in (("q_ref", "f_ext") if recorded else ("f_ext",))

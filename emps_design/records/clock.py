@@ -8,19 +8,19 @@ import numpy as np
 
 from emps_design.errors import RecordError
 
-LARGEST_JITTER = 0.2  # of a period: time that is quantised, not sampling that is irregular
+LARGEST_JITTER = 0.2  # of a period, up to which time is quantised and sampling regular
 NOTED_JITTER = 0.01
-ON_THE_CLOCK = 1e-3  # of a period: the stamps jitter, the drive's clock does not
+ON_THE_CLOCK = 1e-3  # of a period, up to which two periods are equal: time stamps jitter
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-6, 0.1  # s
 GAP = 10.5  # periods without a sample: more than a lost telegram or two
-MOST_BRIDGED = 0.5  # of a record, that its gaps may be
-STEPWISE = ("enable", "bridged")  # what is on or off, and nothing between
+MOST_BRIDGED = 0.5  # of a record, largest share of its gaps
+STEPWISE = ("enable", "bridged")  # on or off, never interpolated
 MISSING = 2.5  # periods without a sample: some are missing
 
 
 @dataclass(frozen=True)
 class Resampled:
-    """Signals on a uniform clock, the period [s], what was done, and the signals at their own times."""
+    """``signals`` on a uniform clock of ``period`` [s], notes, and the ``measured`` signals at their own times."""
 
     signals: dict[str, np.ndarray]
     period: float
@@ -29,7 +29,10 @@ class Resampled:
 
 
 def steps_of(t: np.ndarray, source: str, first_row: int) -> tuple[float, np.ndarray]:
-    """The typical step of the time column ``t`` [s], and by how much each differs; time must increase."""
+    """Median step [s] of the time column ``t`` (n,) [s], and the difference (n - 1,) of each step to it.
+
+    Raises :class:`RecordError` where time does not increase, or for a period outside the allowed range.
+    """
     step = np.diff(t)
     if float(np.min(step)) <= 0:
         i = int(np.argmax(step <= 0))
@@ -54,8 +57,8 @@ def on_one_clock(
 ) -> tuple[float, tuple[str, ...], Resampled | None]:
     """The period [s] of ``signals`` by name, notes, and the signals resampled where their time is irregular.
 
-    Irregular time is refused with :class:`RecordError` unless a ``wanted`` period is given. Between the pieces of a
-    record with gaps the signals are straight, and ``bridged`` is 1.
+    Irregular time raises :class:`RecordError` without a ``wanted`` period. In the gaps of a record the signals are
+    interpolated linearly, and ``bridged`` is 1.
     """
     t = signals["t"]
     typical, away = steps_of(t, source, first_row)
@@ -82,9 +85,9 @@ def on_one_clock(
 
 
 def _rounded_to(t: np.ndarray, period: float) -> float:
-    """The decimal [s] to which the stamps ``t`` (n,) of a clock of ``period`` [s] were rounded; 0 where they were not.
+    """The decimal [s] to which the time stamps ``t`` (n,) of a clock of ``period`` [s] were rounded; 0 for none.
 
-    It is at most half a period: of a coarser one a missing sample could not be told.
+    It is at most half a period: a coarser one would hide missing samples.
 
     >>> _rounded_to(np.round(0.00025 * np.arange(9), 4), 0.00025), _rounded_to(np.array([0.0, 0.1, 0.3]), 0.15)
     (0.0001, 0.0)
@@ -96,17 +99,17 @@ def _rounded_to(t: np.ndarray, period: float) -> float:
     return 0.0
 
 
-def same_period(one: float, other: float) -> bool:
-    """Whether two sampling periods [s] are one, as stamps tell them: within a thousandth of each other.
+def same_period(period: float, other: float) -> bool:
+    """Whether two sampling periods [s] agree within a thousandth, the accuracy of time stamps.
 
     >>> same_period(0.0033338, 1.0 / 300.0), same_period(1e-3, 1.002e-3)
     (True, False)
     """
-    return abs(one / other - 1.0) < ON_THE_CLOCK
+    return abs(period / other - 1.0) < ON_THE_CLOCK
 
 
 def nominal(period: float) -> float:
-    """The round period or round rate that ``period`` is within 1e-4 of, or ``period`` itself.
+    """The period [s] rounded to three digits, of itself or of its rate, if within 1e-4; else ``period``.
 
     >>> nominal(0.00100000802), nominal(0.0003333333), nominal(0.0012365)
     (0.001, 0.0003333333333333333, 0.0012365)
@@ -118,14 +121,14 @@ def nominal(period: float) -> float:
 
 
 def no_gap(t: np.ndarray, typical: float, source: str, first_row: int) -> None:
-    """Refuse with :class:`RecordError` a time column ``t`` [s] of ``typical`` steps [s] that has a gap."""
+    """Raise :class:`RecordError` for a time column ``t`` [s] of ``typical`` steps [s] that has a gap."""
     gaps = np.flatnonzero(np.diff(t) > GAP * typical)
     if gaps.size:
         raise _with_gaps(t, gaps, typical, source, first_row)
 
 
 def _bridges(t: np.ndarray, typical: float, source: str, first_row: int) -> np.ndarray:
-    """The rows behind which ``t`` [s] has a gap; :class:`RecordError` where the gaps are most of it."""
+    """The rows before the gaps of ``t`` [s]; raises :class:`RecordError` where the gaps are more than half of it."""
     step = np.diff(t)
     gaps = np.flatnonzero(step > GAP * typical)
     if float(step[gaps].sum()) > MOST_BRIDGED * float(t[-1] - t[0]):
@@ -143,7 +146,7 @@ def _with_gaps(t: np.ndarray, gaps: np.ndarray, typical: float, source: str, fir
 
 
 def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, bridges: np.ndarray) -> Resampled:
-    """``signals`` by linear interpolation on a uniform clock: ``wanted`` [s], or what is nearest to their own."""
+    """``signals`` on a uniform clock by linear interpolation: ``wanted`` [s], or their own period if far from it."""
     t = signals["t"]
     step = np.diff(t)
     mean = (float(t[-1] - t[0]) - float(step[bridges].sum())) / (step.size - bridges.size)
@@ -162,7 +165,7 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, br
     ]
     if bridges.size:
         inside = np.zeros(grid.size)
-        for i in bridges:  # between the last sample before a gap and the first behind it
+        for i in bridges:  # from the last sample before a gap to the first after it
             inside[np.searchsorted(at, t[i], side="right") : np.searchsorted(at, t[i + 1])] = 1.0
         new["bridged"] = np.maximum(inside, new.get("bridged", inside))
         i = int(bridges[np.argmax(step[bridges])])
@@ -176,7 +179,7 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, br
 
 
 def between_samples(name: str, t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The signal called ``name`` of ``values`` at ``t`` [s], (n,), at other times ``at`` (m,): a switch is held."""
+    """``values`` (n,) at times ``t`` [s], interpolated linearly at ``at`` (m,); held if ``name`` is a switch."""
     return held(t, values, at) if name in STEPWISE else np.interp(at, t, values)
 
 
@@ -188,8 +191,9 @@ def held(t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
 def interpolation_error(t: np.ndarray, values: np.ndarray) -> tuple[float, float]:
     """Bound on the error of linear interpolation between the samples of ``values`` at ``t`` [s]: rms and largest.
 
-    Each sample is predicted from its neighbours, twice as far apart as the interpolation has them, so off by four times
-    as much where the signal is smooth; noise counts in full. Over a step the error is a parabola, rms sqrt(8/15) of it.
+    Each sample is predicted from its neighbours. They are twice as far apart as in the interpolation, so the error is
+    four times as large where the signal is smooth; noise counts in full. Over a step the error is a parabola, with an
+    rms of sqrt(8/15) of its peak.
 
     >>> import numpy as np
     >>> t = np.linspace(0.0, 1.0, 101)

@@ -1,9 +1,8 @@
-"""The columns of a record: their names, what each measures, and what a title in a file says of it.
+"""The columns of a record: names, quantities, and the meaning of the titles in a file.
 
-What a column's title says in plain words, English or German: actual and set position, torque command, time ...
-
-A title is taken for something only where it says what is measured *and*, where there are two of it, whether it is the
-set or the actual value. What was taken for what is always told.
+Titles are recognised by their words, English or German: actual and set position, torque command, time ... A title must
+name the quantity *and*, where there are two of it, whether it is the set or the actual value. Notes on the record say
+which columns were recognised.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from emps_design.units import Units, is_unit, spelled
 NAMES = {"t": "t", "qg": "q_ref", "q_ref": "q_ref", "qm": "q", "q": "q", "vir": "u", "u": "u"}
 OPTIONAL = ("f_ext", "velocity_reference", "velocity", "supply", "enable", "excitation", "bridged")
 NAMES |= {name: name for name in OPTIONAL}
-# name -> what it measures, one of the columns that units are known of; a switch has none
+# name -> quantity, which has units; a switch has none
 QUANTITIES = {
     "t": "time",
     "q_ref": "position",
@@ -35,7 +34,7 @@ QUANTITIES = {
 }
 _BASE = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "command": "V", "supply": "volt", "switch": ""}
 RECORD = "emps_design_record"  # a member of an archive that this package wrote: its columns need no mapping
-# Units that may end a title without brackets: those that are surely one, and letters that may stand for something else.
+# Units that may end a title without brackets: unambiguous ones, and letters that may mean something else.
 TAILS = ("ms", "us", "mm", "um", "nm", "cm", "deg", "rad", "mrad", "rev", "rpm", "mA", "mV", "kN", "N m")
 LETTERS = ("s", "m", "A", "V", "N")
 PLAIN = Units()  # of a record that no axis file describes
@@ -46,7 +45,7 @@ _BEHIND_A_STROKE = re.compile(
 )
 
 _WORDS = re.compile(r"[A-Z]?[a-zäöüß]+|[A-Z]+(?![a-zäöü])|\d+")
-# Compound words of German are looked into; words of English are whole.
+# German compounds are searched for parts; English words are whole.
 _SET = r"\b(set|setpoint|ref|reference|cmd|command|commanded|target|demand|desired|nominal)\b|soll"
 _ACTUAL = r"\b(act|actual|meas|measured|feedback|fb|fbk|encoder|enc|ist)\b|istwert|\bist|ist\b"
 _POSITION = r"\b(pos|position|angle)\b|^q$|lage|position|winkel"
@@ -62,7 +61,7 @@ _NOT = (
 
 @dataclass(frozen=True)
 class Title:
-    """A column's title in the file, the name it stands for ("" where the record has no such column), and its unit."""
+    """A column's title in the file, its name in a record ("" for no such column), and its unit."""
 
     text: str
     name: str
@@ -80,7 +79,7 @@ def unit_of(name: str, units: Units) -> str:
 
 
 def factor_of(unit: str, name: str, units: Units) -> float | None:
-    """What one ``unit`` of a file is in the unit of a record's column, or None for a unit of something else."""
+    """Factor from ``unit`` of a file to the unit of a record's column; None for a unit of another quantity."""
     try:
         return units.factor(unit, QUANTITIES[name]) if QUANTITIES[name] != "switch" else None
     except InputError:
@@ -108,7 +107,7 @@ def read_title(text: str, source: str, units: Units = PLAIN) -> Title:
 
 
 def plain_title(text: str) -> tuple[str, str]:
-    """Return a title without the unit in brackets or behind a stroke, and that unit, or "" where it has none.
+    """Return a title without its unit in brackets or after a slash, and that unit, "" for none.
 
     >>> plain_title("Lageistwert [mm]"), plain_title("pos_deg"), plain_title("Torque (act) (Nm)")
     (('Lageistwert', 'mm'), ('pos_deg', ''), ('Torque (act)', 'Nm'))
@@ -126,7 +125,7 @@ def plain_title(text: str) -> tuple[str, str]:
 
 
 def title_unit(text: str) -> tuple[str, str]:
-    """Return a title without its unit, and the unit: the bracketed one, or what stands after a last underscore.
+    """Return a title without its unit, and the unit: the bracketed one, or a suffix after the last underscore.
 
     >>> title_unit("Lage [mm]"), title_unit("pos_deg"), title_unit("cmd_A"), title_unit("act_pos"), title_unit("state")
     (('Lage', 'mm'), ('pos', 'deg'), ('cmd', 'A'), ('act_pos', ''), ('state', ''))
@@ -139,7 +138,7 @@ def title_unit(text: str) -> tuple[str, str]:
 
 
 def column_titles(name: str, count: int) -> list[str]:
-    """The titles of ``count`` columns of a matrix called ``name``, which has none itself.
+    """Titles for the ``count`` columns of a matrix called ``name``.
 
     >>> column_titles("data", 3)
     ['data:0', 'data:1', 'data:2']
@@ -159,7 +158,7 @@ def _shorten(text: str) -> str:
 
 
 def words(title: str) -> str:
-    """The words of a title in small letters, its unit left out.
+    """The words of a title in lower case, without its unit.
 
     >>> words("Axis1.ActPos [mm]"), words("PositionActualValue"), words("Lage-Istwert")
     ('axis 1 act pos', 'position actual value', 'lage istwert')
@@ -168,10 +167,10 @@ def words(title: str) -> str:
 
 
 def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
-    """The titles that may be each column of a record; the plainest only, and none where none says it.
+    """The titles that may be each column of a record, by name: of several only the clearest.
 
-    >>> found = meanings(["Zeit [ms]", "Lageistwert [mm]", "Lagesollwert [mm]", "Status"], Units())
-    >>> {name: titles for name, titles in found.items() if titles}
+    >>> candidates = meanings(["Zeit [ms]", "Lageistwert [mm]", "Lagesollwert [mm]", "Status"], Units())
+    >>> {name: titles for name, titles in candidates.items() if titles}
     {'t': ['Zeit [ms]'], 'q_ref': ['Lagesollwert [mm]'], 'q': ['Lageistwert [mm]']}
     """
 
@@ -179,7 +178,7 @@ def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
         return factor_of(title_unit(title)[1], name, units) is not None
 
     def those(*patterns: str, but: str = "", name: str = "") -> list[str]:
-        found = []
+        matches = []
         for title in titles:
             text = words(title)
             if re.search(_NOT, text) or (but and re.search(but, text)):
@@ -187,14 +186,14 @@ def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
             if all(re.search(pattern, text) for pattern in patterns) and (
                 not name or measures(title, name) or not title_unit(title)[1]
             ):
-                found.append(title)
-        return found
+                matches.append(title)
+        return matches
 
     def alone(pattern: str, name: str) -> list[str]:
         return [title for title in titles if re.fullmatch(pattern, words(title)) and measures(title, name)]
 
     drive = rf"{_SENSOR}|{_SUPPLY}"
-    found: dict[str, list[str]] = {
+    candidates: dict[str, list[str]] = {
         "t": _first(lambda: alone(r"t|time|zeit|timestamp|zeitstempel", "t"), lambda: those(r"^(time|zeit|t)\b")),
         "q_ref": _first(
             lambda: those(_SET, _POSITION, but=_VELOCITY, name="q"),
@@ -219,9 +218,9 @@ def meanings(titles: Sequence[str], units: Units) -> dict[str, list[str]]:
         "f_ext": those(_SENSOR, _FORCE, name="f_ext"),
         "supply": those(_SUPPLY, r"volt|spannung", name="supply"),
     }
-    return {name: found.get(name, []) for name in QUANTITIES}
+    return {name: candidates.get(name, []) for name in QUANTITIES}
 
 
 def _first(*ways: Callable[[], list[str]]) -> list[str]:
-    """What the first way finds that finds anything."""
-    return next((found for way in ways if (found := way())), [])
+    """The titles of the first of ``ways`` with any; none if all are empty."""
+    return next((titles for way in ways if (titles := way())), [])

@@ -1,7 +1,4 @@
-"""Which column of a file is what: as the axis file maps it, as its name says, or as its title is understood.
-
-The ``[record]`` table of an axis file: which column of a drive's export is what.
-"""
+"""Assignment of a file's columns by the ``[record]`` table of the axis file, by their names, or by their titles."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ from emps_design.records.columns import (
 )
 from emps_design.units import COUNTS, Units, spelled
 
-# What an import refuses because it cannot be of the axis, unless its table accepts it.
+# Doubts for which an import refuses a record, unless the ``[record]`` table accepts them.
 Doubt = Literal[
     "sampling-period",
     "opposed-reference",
@@ -44,15 +41,15 @@ Doubt = Literal[
     "inertia-scale",
 ]
 DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
-LONGEST_DELAY = 0.1  # s; what is recorded later than that was not recorded with the rest
+LONGEST_DELAY = 0.1  # s
 
 MAPPED, NAMED, RECOGNISED = "mapped", "named", "recognised"
-LONGEST = 5_000_000  # samples; keeps what works on a record well under 1 GiB
-LONGEST_TO_CUT = 15_000_000  # samples of a file of which a part is taken, an hour at 4 kHz: 1.8 GB, 115 bytes for each
+LONGEST = 5_000_000  # samples of a record; keeps memory well under 1 GiB
+LONGEST_TO_CUT = 15_000_000  # samples of a file from which a part is read, an hour at 4 kHz: 1.8 GB, 115 bytes each
 
 
 class Column(BaseModel):
-    """One column: its title with or without the bracketed unit, its unit, what it is multiplied by, and its delay."""
+    """One column: its title with or without the bracketed unit, its unit, scale, sign, delay and modulo."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -71,7 +68,7 @@ class Column(BaseModel):
 
 
 class ColumnMap(BaseModel):
-    """The table itself: columns of a record, and which doubts of an import are overruled (``accept``).
+    """The ``[record]`` table: columns of a record, and the doubts of an import that it accepts.
 
     >>> ColumnMap.model_validate({"position": {"column": "Lageistwert", "unit": "mm"}}).named["q"].unit
     'mm'
@@ -102,7 +99,7 @@ class ColumnMap(BaseModel):
 
     @property
     def named(self) -> dict[str, Column]:
-        """The columns that are mapped, by their names in a record."""
+        """The mapped columns by their names in a record."""
         mapped = {name: getattr(self, key) for name, key in KEYS.items()}
         return {name: column for name, column in mapped.items() if column is not None}
 
@@ -114,11 +111,11 @@ KEYS = dict(zip(_IN_A_RECORD.split(), (key for key in ColumnMap.model_fields if 
 
 @dataclass(frozen=True)
 class Layout:
-    """What a reader has to know of the axis: its units, its ``[record]`` table, its clock.
+    """What a reader needs of the axis: its units, its ``[record]`` table, its clock.
 
-    An export is put on the ``period`` [s] where its time is irregular, a record of this package only where ``resample``
-    asks for it; ``window`` takes a part [s] of the file's time alone. ``reference_needed`` is False where no controller
-    needs one; ``limit`` is that of the command, where it is known.
+    An export with irregular time is resampled to ``period`` [s], a record of this package only with ``resample``;
+    ``window`` [s] reads a part of the file's time. ``reference_needed`` is False without a controller; ``limit`` is
+    that of the command, if known.
     """
 
     units: Units = PLAIN
@@ -131,7 +128,7 @@ class Layout:
 
     @property
     def longest(self) -> int:
-        """How many samples a file may have."""
+        """The most samples that a file may have."""
         return LONGEST if self.window is None else LONGEST_TO_CUT
 
     def unit(self, name: str) -> str:
@@ -143,7 +140,7 @@ class Layout:
 class Assignment:
     """The column ``title`` of a file is ``name`` of the record: ``factor`` times its values in ``unit``.
 
-    ``entry`` is what the axis file says of it in ``[record]``, None where it says nothing.
+    ``entry`` is its entry in ``[record]``, None for none.
     """
 
     name: str
@@ -155,38 +152,38 @@ class Assignment:
 
     @property
     def delay(self) -> float:
-        """How much later than it acts it was recorded [s]."""
+        """Delay [s] with which it was recorded."""
         return 0.0 if self.entry is None else self.entry.delay
 
 
 def assign(titles: Sequence[str], layout: Layout, source: str) -> list[Assignment]:
-    """Say which of ``titles`` is what; raises :class:`RecordError` where that is not certain or something is missing.
+    """Assign ``titles`` to columns of a record; raises :class:`RecordError` where one is uncertain or missing.
 
-    >>> [one.name for one in assign(["t", "q_ref", "q [mm]", "u", "state"], Layout(), "a.csv")]
+    >>> [assignment.name for assignment in assign(["t", "q_ref", "q [mm]", "u", "state"], Layout(), "a.csv")]
     ['t', 'q_ref', 'q', 'u']
     """
-    found = {} if _is_plain(titles, layout) else _all_mapped(titles, layout, source)
-    taken = {one.title for one in found.values()}
+    assignments = {} if _is_plain(titles, layout) else _all_mapped(titles, layout, source)
+    taken = {assignment.title for assignment in assignments.values()}
     for text in titles:
         title = read_title(text, source, layout.units) if text not in taken else None
-        if title is None or not title.name or (title.name in found and found[title.name].how == MAPPED):
+        if title is None or not title.name or (title.name in assignments and assignments[title.name].how == MAPPED):
             continue
-        if title.name in found:
+        if title.name in assignments:
             raise RecordError(
-                f"{source}: columns {found[title.name].title!r} and {title.text!r} both stand for {title.name}; "
+                f"{source}: columns {assignments[title.name].title!r} and {title.text!r} both stand for {title.name}; "
                 "keep one"
             )
-        found[title.name] = Assignment(title.name, text, title.unit, title.factor)
-    if missing(found, layout):
-        _recognise(found, titles, layout, source)
-    lacking = [name for name in missing(found, layout) if name != "q" or "velocity" not in found]
+        assignments[title.name] = Assignment(title.name, text, title.unit, title.factor)
+    if missing(assignments, layout):
+        _recognise(assignments, titles, layout, source)
+    lacking = [name for name in missing(assignments, layout) if name != "q" or "velocity" not in assignments]
     if lacking:
-        raise RecordError(_lacking(lacking, found, titles, layout, source))
-    return [found[name] for name in QUANTITIES if name in found]
+        raise RecordError(_lacking(lacking, titles, layout, source))
+    return [assignments[name] for name in QUANTITIES if name in assignments]
 
 
 def _is_plain(titles: Sequence[str], layout: Layout) -> bool:
-    """Whether a file is a record of this package rather than an export: it says so, or has no other names."""
+    """Whether a file is a record of this package rather than an export: by its mark, or by the names of its columns."""
     if RECORD in titles:
         return True
     plain = {plain_title(title)[0].casefold() for title in titles}
@@ -195,27 +192,31 @@ def _is_plain(titles: Sequence[str], layout: Layout) -> bool:
 
 
 def _all_mapped(titles: Sequence[str], layout: Layout, source: str) -> dict[str, Assignment]:
-    """The columns that the axis file maps, each once; a reference may be absent where no controller needs one."""
-    found: dict[str, Assignment] = {}
+    """The columns that the axis file maps; a reference may be absent where no controller needs one."""
+    assignments: dict[str, Assignment] = {}
     plain = {plain_title(title)[0].casefold() for title in titles}
     for name, column in layout.columns.named.items():
         is_there = plain_title(column.column)[0].casefold() in plain
         if is_there or layout.reference_needed or name not in ("q_ref", "velocity_reference"):
-            one = _mapped(name, column, titles, layout, source)
-            twin = next((KEYS[other.name] for other in found.values() if other.title == one.title), None)
+            assignment = _mapped(name, column, titles, layout, source)
+            twin = next((KEYS[other.name] for other in assignments.values() if other.title == assignment.title), None)
             if twin is not None:
                 raise RecordError(
-                    f"{source}: [record] {twin} and {KEYS[name]} both take the column {one.title!r}; give one of them "
-                    "a column of its own, or take it out of [record]"
+                    f"{source}: [record] {twin} and {KEYS[name]} both take the column {assignment.title!r}; give one "
+                    "of them a column of its own, or take it out of [record]"
                 )
-            found[name] = one
-    return found
+            assignments[name] = assignment
+    return assignments
 
 
-def missing(found: dict[str, Assignment], layout: Layout) -> list[str]:
-    """The names of a record that have no column yet and need one; a velocity may do for a position."""
+def missing(assignments: dict[str, Assignment], layout: Layout) -> list[str]:
+    """The required names without a column yet; a reference of velocity replaces that of position."""
     needed = ["t", "q_ref", "q", "u"] if layout.reference_needed else ["t", "q", "u"]
-    return [name for name in needed if name not in found and (name != "q_ref" or "velocity_reference" not in found)]
+    return [
+        name
+        for name in needed
+        if name not in assignments and (name != "q_ref" or "velocity_reference" not in assignments)
+    ]
 
 
 def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, source: str) -> Assignment:
@@ -249,14 +250,14 @@ def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, so
 
 
 def _factor(unit: str, name: str, scale: float | None, layout: Layout) -> float:
-    """What one ``unit`` times ``scale`` of a file is; counts of a clock are its ticks, of a switch anything."""
+    """Factor from ``unit`` times ``scale`` to that of column ``name``; the scale for a switch and time in counts."""
     if QUANTITIES[name] == "switch" or (unit == COUNTS and name == "t" and scale is not None):
         return 1.0 if scale is None else scale
     return layout.units.factor(unit, QUANTITIES[name], scale)
 
 
 def _find(wanted: str, titles: Sequence[str], key: str, source: str) -> str:
-    """The title that ``wanted`` means: the same text, the same without its bracketed unit, or but for capitals."""
+    """The title that matches ``wanted``: exactly, without the bracketed unit, or without regard to case."""
     for same in (
         lambda title: title == wanted,
         lambda title: plain_title(title)[0] == wanted.strip() or plain_title(wanted)[0] == title,
@@ -275,18 +276,18 @@ def _find(wanted: str, titles: Sequence[str], key: str, source: str) -> str:
 
 
 def _is_other_quantity(unit: str, layout: Layout) -> bool:
-    """Whether a title's ``unit`` is one of a quantity at all."""
+    """Whether a title's ``unit`` is that of any quantity."""
     return unit in (*TAILS, *LETTERS, "%", layout.unit("u"))
 
 
-def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str) -> None:
-    """Add to ``found`` what titles say in plain words; two that say the same are not chosen between."""
-    free = [title for title in titles if title not in {one.title for one in found.values()}]
-    meant, needed = meanings(free, layout.units), missing(found, layout)
+def _recognise(assignments: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str) -> None:
+    """Add the columns whose titles are recognised to ``assignments``; of two with the same meaning neither is taken."""
+    free = [title for title in titles if title not in {assignment.title for assignment in assignments.values()}]
+    meant, needed = meanings(free, layout.units), missing(assignments, layout)
     if "q" in needed and not meant["q"]:
         needed.append("velocity")
     for name, candidates in meant.items():
-        if name in found or not candidates:
+        if name in assignments or not candidates:
             continue
         if len(candidates) > 1:
             if name in needed:
@@ -307,7 +308,7 @@ def _recognise(found: dict[str, Assignment], titles: Sequence[str], layout: Layo
                     + ("; for another machine: emps-design init --from TRACE" if command else "")
                 )
             continue
-        found[name] = Assignment(name, title, unit or layout.unit(name), factor or 1.0, RECOGNISED)
+        assignments[name] = Assignment(name, title, unit or layout.unit(name), factor or 1.0, RECOGNISED)
 
 
 def _such_as(name: str, layout: Layout) -> str:
@@ -315,9 +316,7 @@ def _such_as(name: str, layout: Layout) -> str:
     return f"{unit} as the command of the axis" if QUANTITIES[name] == "command" else f"one such as {unit}"
 
 
-def _lacking(
-    lacking: list[str], found: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str
-) -> str:
+def _lacking(lacking: list[str], titles: Sequence[str], layout: Layout, source: str) -> str:
     reference = f"q_ref [{layout.unit('q')}], " if layout.reference_needed else ""
     position = f"q [{layout.unit('q')}] or velocity [{layout.unit('velocity')}]"
     expected = f"t [s], {reference}{position}, u [{layout.unit('u')}] (or the EMPS names t, qg, qm, vir)"

@@ -1,4 +1,4 @@
-"""Which reader a file gets: its suffix says what is expected, its first bytes what it is; both must agree."""
+"""Read a record from a file, by its suffix and its first bytes, which must agree."""
 
 from __future__ import annotations
 
@@ -14,37 +14,37 @@ import numpy as np
 
 from emps_design.errors import InputError, RecordError, one_line
 from emps_design.records.archives import is_v5, is_v73, read_archive, read_v5, read_v73
-from emps_design.records.check import CUT, PLAIN, SHORTEST, checked
+from emps_design.records.check import CUT, PLAIN, SHORTEST, check_columns
 from emps_design.records.columns import NAMES, RECORD, column_titles
 from emps_design.records.layout import NAMED, Layout, assign
 from emps_design.records.record import MEASURED, Record
 from emps_design.records.tables import read_table, table_titles
 
-MAX_BYTES = 250_000_000  # of a file, and again of what it unpacks to: two hours at 1 kHz
-MAX_BYTES_TO_CUT = 3 * MAX_BYTES  # where a part is taken
+MAX_BYTES = 250_000_000  # of a file, and again of its unpacked content: two hours at 1 kHz
+MAX_BYTES_TO_CUT = 3 * MAX_BYTES  # of a file from which a part is read
 
-HEAD = 4096  # bytes that say what a file is
+HEAD = 4096  # bytes that identify the kind of a file
 
 _KINDS = {".mat": "MATLAB v5 or v7.3 file", ".npz": "NumPy archive", ".csv": "text table"}
 _TEXT = (".csv", ".txt", ".tsv")
 
 
 def read_record(path: str | Path, max_bytes: int = MAX_BYTES, layout: Layout = PLAIN) -> Record:
-    """Read the record at ``path`` (.mat v5 or v7.3, .csv, .npz), checked once and for all.
+    """Read and check the record at ``path`` (.mat v5 or v7.3, .csv, .npz).
 
     Columns: ``t`` [s], ``q_ref`` [m], ``q`` [m], ``u`` [V], optional ``f_ext`` [N]; the EMPS names ``t qg qm vir`` are
-    known too, and a title may carry a unit (``q [mm]``). ``max_bytes`` limits the file, and what it unpacks to;
-    ``layout`` has what an axis file says of its records, and is given by :func:`emps_design.importing.import_record`.
-    Nothing in a file is executed or unpickled. Raises :class:`RecordError`: one line that names the file, the place,
-    what was found, what was expected and what to do.
+    known too, and a title may have a unit (``q [mm]``). ``max_bytes`` limits the file and its unpacked content;
+    :func:`emps_design.importing.import_record` passes the ``layout`` of an axis file. Nothing in a file is executed or
+    unpickled. Raises :class:`RecordError`, one line with the file, the place, what was found and expected, and a
+    remedy.
     """
     path = Path(path)
-    with _opened(path, max_bytes) as file:
+    with _open(path, max_bytes) as file:
         return _read(file, path.name, str(path), max_bytes, layout)
 
 
 @contextmanager
-def _opened(path: Path, max_bytes: int) -> Iterator[BinaryIO]:
+def _open(path: Path, max_bytes: int) -> Iterator[BinaryIO]:
     """The ordinary file at ``path``, open for reading."""
     try:
         status = path.stat()
@@ -63,13 +63,13 @@ def _opened(path: Path, max_bytes: int) -> Iterator[BinaryIO]:
 
 
 def read_titles(path: str | Path, max_bytes: int = MAX_BYTES) -> list[str]:
-    """The titles of the columns in the file at ``path``, or the names of its arrays; :class:`RecordError` for none."""
-    with _opened(Path(path), max_bytes) as file:
+    """The titles of the columns, or names of the arrays, of the file at ``path``; raises :class:`RecordError`."""
+    with _open(Path(path), max_bytes) as file:
         return _titles(file, Path(path).name, str(path), max_bytes)
 
 
 def titles_from_bytes(content: bytes, name: str, max_bytes: int = MAX_BYTES) -> list[str]:
-    """The same for the ``content`` of a file called ``name``.
+    """The titles of the columns in the ``content`` of a file called ``name``.
 
     >>> titles_from_bytes(b"a comment\\nt [ms];q;u\\n0;1;2\\n1;1;3\\n2;1;4", "a.csv")
     ['t [ms]', 'q', 'u']
@@ -79,16 +79,16 @@ def titles_from_bytes(content: bytes, name: str, max_bytes: int = MAX_BYTES) -> 
 
 
 def _titles(file: BinaryIO, name: str, source: str, max_bytes: int) -> list[str]:
-    head, found = _recognised(file, name, source)
-    if found == ".csv":
+    head, kind = _head_and_kind(file, name, source)
+    if kind == ".csv":
         return table_titles(file, source)
-    return [key for key, values in _arrays(file, found, head, source, max_bytes).items() if np.size(values) > 1]
+    return [key for key, values in _arrays(file, kind, head, source, max_bytes).items() if np.size(values) > 1]
 
 
 def record_from_bytes(
     content: bytes, name: str, source: str | None = None, max_bytes: int = MAX_BYTES, layout: Layout = PLAIN
 ) -> Record:
-    """Read a record from the ``content`` of a file called ``name``; ``source`` is what messages call it.
+    """Read a record from the ``content`` of a file called ``name``, ``source`` in messages.
 
     >>> table = "t;q_ref [mm];q [mm];u\\n" + "\\n".join(f"{k / 1000:.3f};{k};{k};1.{k:02d}" for k in range(60))
     >>> record = record_from_bytes(table.encode(), "small.csv")
@@ -101,49 +101,53 @@ def record_from_bytes(
 
 
 def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout) -> Record:
-    """Read the open ``file``: readers go through it piece by piece, it is never in memory as a whole."""
-    head, found = _recognised(file, name, source)
+    """Read the open ``file`` in pieces: it is never in memory as a whole."""
+    head, kind = _head_and_kind(file, name, source)
     digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
     file.seek(0)
     columns: dict[str, np.ndarray]
     notes: tuple[str, ...]
-    if found == ".csv":
+    if kind == ".csv":
         table = read_table(file, source, lambda titles: _needed(titles, layout, source), layout.longest)
         columns, first_row, notes = table.columns, table.first_row, table.notes
     else:
-        columns, first_row, notes = _arrays(file, found, head, source, max_bytes), 0, ()
+        columns, first_row, notes = _arrays(file, kind, head, source, max_bytes), 0, ()
     measured = {key: columns.pop(key) for key in list(columns) if key.startswith(MEASURED)}
     assigned = assign(list(columns), layout, source)
-    if columns.pop(RECORD, None) is None and layout.columns.named and all(one.how == NAMED for one in assigned):
+    unmapped = all(assignment.how == NAMED for assignment in assigned)
+    if columns.pop(RECORD, None) is None and layout.columns.named and unmapped:
         notes = (*notes, "read by the names of a record: it has none of the columns that [record] maps")
-    signals = checked(columns, source, first_row, layout=layout, assigned=assigned)
+    signals = check_columns(columns, source, first_row, layout=layout, assigned=assigned)
     if measured:
         signals["measured"] = {key.removeprefix(MEASURED): values for key, values in measured.items()}
-    signals["assigned"] = tuple(one for one in assigned if one.name != "q_ref" or signals["q_ref_recorded"])
+    signals["assigned"] = tuple(
+        assignment for assignment in assigned if assignment.name != "q_ref" or signals["q_ref_recorded"]
+    )
     signals["warnings"] = (*notes, *signals["warnings"])
     return Record(name=one_line(Path(name).stem), sha256=digest, **signals)
 
 
 def _needed(titles: Sequence[str], layout: Layout, source: str) -> list[str]:
-    """The ``titles`` of a text table that are to be read."""
-    return [one.title for one in assign(titles, layout, source)] + [title for title in titles if title == RECORD]
+    """The ``titles`` of the columns of a text table to read."""
+    marks = [title for title in titles if title == RECORD]
+    return [assignment.title for assignment in assign(titles, layout, source)] + marks
 
 
-def _recognised(file: BinaryIO, name: str, source: str) -> tuple[bytes, str]:
-    """The first bytes of ``file`` and the kind they are of, which has to be the one that its name says."""
+def _head_and_kind(file: BinaryIO, name: str, source: str) -> tuple[bytes, str]:
+    """The first bytes of ``file`` and its kind; raises :class:`RecordError` where the kind differs from its suffix."""
     head = file.read(HEAD)
     if not head.strip():
         raise RecordError(f"{source}: is empty, expected a .mat, .csv or .npz record")
     suffix = Path(name).suffix.lower()
-    found = _kind(head)
-    expected = ".csv" if suffix in _TEXT else suffix if suffix in _KINDS else found
-    if found != expected:
+    kind = _kind(head)
+    expected = ".csv" if suffix in _TEXT else suffix if suffix in _KINDS else kind
+    if kind != expected:
         raise RecordError(
-            f"{source}: found {_described(head, found)}, expected a {_KINDS[expected]} as its name says"
+            f"{source}: found {_description(head, kind)}, expected a {_KINDS[expected]} as its name says"
             f"{'; save it with save -v7' if expected == '.mat' else ''}"
         )
     file.seek(0)
-    return head, found
+    return head, kind
 
 
 def _arrays(file: BinaryIO, kind: str, head: bytes, source: str, max_bytes: int) -> dict[str, np.ndarray]:
@@ -155,20 +159,20 @@ def _arrays(file: BinaryIO, kind: str, head: bytes, source: str, max_bytes: int)
 
 
 def _columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """``arrays`` with a matrix taken apart along its shorter side: its columns, however it lies in the file.
+    """``arrays`` with each matrix split into vectors along its longer side.
 
     >>> sorted(_columns({"data": np.zeros((60, 2)), "gain": np.eye(3)}))
     ['data:0', 'data:1', 'gain']
     """
-    found: dict[str, np.ndarray] = {}
+    columns: dict[str, np.ndarray] = {}
     for name, values in arrays.items():
         shape = values.shape
         if name in NAMES or len(shape) != 2 or not 2 <= min(shape) < max(shape) >= SHORTEST:
-            found[name] = values
+            columns[name] = values
             continue
-        columns = values if shape[1] > shape[0] else values.T
-        found |= dict(zip(column_titles(name, min(shape)), columns, strict=True))
-    return found
+        vectors = values if shape[1] > shape[0] else values.T
+        columns |= dict(zip(column_titles(name, min(shape)), vectors, strict=True))
+    return columns
 
 
 def _kind(head: bytes) -> str:
@@ -177,7 +181,7 @@ def _kind(head: bytes) -> str:
     return ".mat" if is_v73(head) or is_v5(head) else ".csv"
 
 
-def _described(head: bytes, kind: str) -> str:
+def _description(head: bytes, kind: str) -> str:
     if kind != ".csv":
         return f"a {_KINDS[kind]}"
     return "text" if b"\0" not in head else "something else"

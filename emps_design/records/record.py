@@ -1,7 +1,4 @@
-"""A measured or simulated run of the axis, checked once, on reading.
-
-Several records as one, with a bridge between each two that takes no part: for what only all together tell.
-"""
+"""A measured or simulated run of an axis, and several runs joined to one record."""
 
 from __future__ import annotations
 
@@ -16,13 +13,13 @@ import numpy as np
 from emps_design.errors import InputError, RecordError
 from emps_design.files import write_aside
 from emps_design.notebook import table
-from emps_design.records.check import PLAIN, checked
+from emps_design.records.check import PLAIN, check_columns
 from emps_design.records.clock import same_period
 from emps_design.records.columns import OPTIONAL, RECORD
 from emps_design.records.layout import MAPPED, Assignment, Layout
 from emps_design.stretches import stretches
 
-MEASURED = "measured."  # before the names, in an archive, of what was resampled, at its own times
+MEASURED = "measured."  # prefix, in an archive, of the signals before they were resampled
 
 BRIDGE = 1.0  # s from one record to the next
 
@@ -31,18 +28,17 @@ BRIDGE = 1.0  # s from one record to the next
 class Record:
     """Equally sampled signals of one run.
 
-    ``t`` [s] starts at 0 with the nominal ``period`` [s]; ``q_ref`` reference and ``q`` encoder position [m, or rad of
-    an axis that turns], both on the load side; ``u`` what the drive was given [V, or the command unit of the axis].
-    Where there are such columns: ``f_ext`` measured external force [N or N m]; ``velocity_reference`` and ``velocity``,
-    the drive's own [m/s or rad/s]; ``supply`` [V]; ``enable``, 0 where the motor was switched off; ``excitation``, what
-    was added to the controller's output [as u]; ``bridged``, 1 where nothing was recorded and a straight line joins two
-    pieces. ``q_ref_recorded`` is False where something stands for the reference.
+    ``t`` [s] starts at 0 with the nominal ``period`` [s]; ``q_ref`` reference and ``q`` encoder position [m, rad of a
+    rotary axis], both on the load side; ``u`` command of the drive [V, or the command unit of the axis]. Optional:
+    ``f_ext`` measured external force [N or N m]; ``velocity_reference`` and ``velocity``, the drive's own [m/s or
+    rad/s]; ``supply`` [V]; ``enable``, 0 where the motor is switched off; ``excitation``, added to the controller's
+    output [as u]; ``bridged``, 1 in a gap that a straight line bridges. ``q_ref_recorded`` is False where the reference
+    is a substitute.
 
-    ``measured`` has the signals at their own times where they were resampled; ``assigned`` says which column of the
-    file each was. ``extra`` keeps other columns of the
-    file, unread by the analysis; ``warnings`` what the checks noticed, and of these ``contradictions`` what its own
-    controller or motion contradicts. Built by
-    :func:`emps_design.records.read_record` or :meth:`from_arrays`.
+    ``measured`` has the signals at their own times if they were resampled; ``assigned`` the columns of the file;
+    ``extra`` its other columns, which no analysis reads; ``warnings`` the notes of the checks, and of these
+    ``contradictions`` those of the law or the motion. Built by :func:`emps_design.records.read_record` or
+    :meth:`from_arrays`.
     """
 
     t: np.ndarray
@@ -79,7 +75,7 @@ class Record:
         layout: Layout = PLAIN,
         **more: Any,
     ) -> Record:
-        """Build a record from arrays, by the same check as a file; raises :class:`RecordError`.
+        """Build a record from arrays, checked like a file; raises :class:`RecordError`.
 
         ``t`` [s] is the time column, or the sampling period as one number; ``more`` are the other columns by name.
 
@@ -93,8 +89,9 @@ class Record:
         unknown = set(more) - set(OPTIONAL)
         if unknown:
             raise InputError(f"{name}: found column {min(unknown)!r}, expected one of {', '.join(OPTIONAL)}")
-        given = {key: values for key, values in {"f_ext": f_ext, **more}.items() if values is not None}
-        return cls(name=name, **checked({**columns, **given, **(extra or {})}, name, period=period, layout=layout))
+        optional = {key: values for key, values in {"f_ext": f_ext, **more}.items() if values is not None}
+        columns |= {**optional, **(extra or {})}
+        return cls(name=name, **check_columns(columns, name, period=period, layout=layout))
 
     def __len__(self) -> int:
         return self.t.size
@@ -106,17 +103,17 @@ class Record:
 
     @property
     def has_reference(self) -> bool:
-        """Whether what the controller followed was recorded."""
+        """Whether a reference of position or velocity was recorded."""
         return self.q_ref_recorded or self.velocity_reference is not None
 
     @property
     def in_gap(self) -> np.ndarray:
-        """Where nothing was recorded, (n,) of bool."""
+        """Mask (n,) bool of the samples in a gap."""
         return np.zeros(len(self), bool) if self.bridged is None else self.bridged > 0.0
 
     @property
     def pieces(self) -> list[tuple[int, int]]:
-        """First sample and the one after the last of each piece that was recorded: one of a record without gaps.
+        """First sample and the one after the last of each piece between gaps: one piece without gaps.
 
         >>> ramp = np.arange(60.0)
         >>> Record.from_arrays(0.01, ramp / 9, ramp / 9, np.sin(ramp), bridged=(ramp > 9) & (ramp < 20)).pieces
@@ -126,7 +123,7 @@ class Record:
 
     @property
     def gaps_in_words(self) -> tuple[str, ...]:
-        """That the record is taken as its pieces, where it has gaps: what every command says of it that uses them."""
+        """A sentence on the pieces of a record with gaps; none without gaps."""
         count = len(self.pieces)
         return (f"{self.name}: taken as {count} pieces, what lies between takes no part",) if count > 1 else ()
 
@@ -142,7 +139,7 @@ class Record:
         return {name: getattr(self, name) for name in OPTIONAL}
 
     def part(self, start: int, stop: int, name: str | None = None) -> Record:
-        """Samples ``start`` to ``stop`` as a record whose time starts at 0 again."""
+        """Samples ``start`` to ``stop`` (excluded) as a record with time from 0."""
         cut = slice(start, stop)
         optional: Any = {key: None if column is None else column[cut] for key, column in self._optional.items()}
         own = {key: value for key, value in self.extra.items() if np.size(value) == 1}
@@ -164,31 +161,32 @@ class Record:
         return self if stop >= len(self) else self.part(0, stop, self.name)
 
     def save(self, path: str | Path) -> None:
-        """Write the record as .npz or .csv, whole or not at all; the same record gives the same bytes."""
+        """Write the record as .npz or .csv, completely or not at all; the same record gives the same bytes."""
         path = Path(path)
         if path.suffix not in (".npz", ".csv"):
             raise InputError(f"{path}: found suffix {path.suffix!r}, expected .npz or .csv")
         with write_aside(path) as aside, aside.open("wb") as file:
             if path.suffix == ".npz":
-                np.savez(file, **cast(Any, {**self.columns, **self._kept(), RECORD: 1}))
+                np.savez(file, **cast(Any, {**self.columns, **self._archive_members(), RECORD: 1}))
             else:
                 columns = self.columns
-                if any(one.how == MAPPED for one in self.assigned):  # not to be mapped once more, whatever the names
+                # A mapped record is marked, so that its columns are not mapped again.
+                if any(assignment.how == MAPPED for assignment in self.assigned):
                     columns[RECORD] = np.ones(len(self))
-                # 17 digits bring every number back as it was, 12 are the time's and do for reading.
+                # 17 digits reproduce every number exactly; 12 suffice for the time.
                 formats = ["%.12g", *["%.17g"] * (len(columns) - 1)]
                 table = np.column_stack(list(columns.values()))
                 np.savetxt(file, table, fmt=formats, delimiter=",", header=",".join(columns), comments="")
 
-    def _kept(self) -> dict[str, np.ndarray]:
-        """What an archive keeps beside the columns: single numbers of the file, and what was resampled."""
+    def _archive_members(self) -> dict[str, np.ndarray]:
+        """Further members of an archive: single numbers of the file, and the signals before they were resampled."""
         single = {key: np.asarray(value) for key, value in self.extra.items() if np.size(value) == 1}
         numbers = {key: value for key, value in single.items() if value.dtype.kind in "buif" and key.isidentifier()}
         measured = {f"{MEASURED}{name}": values for name, values in (self.measured or {}).items()}
         return {**numbers, **measured}
 
     def to_dict(self) -> dict[str, Any]:
-        """What identifies the record, without its samples."""
+        """Plain data that identifies the record, without its samples."""
         return {
             "name": self.name,
             "samples": len(self),
@@ -214,10 +212,10 @@ class Record:
 
 
 def joined(records: Sequence[Record], rotary: bool = False) -> Record:
-    """Join ``records`` of one axis; a ``rotary`` one goes on in the turn in which the record before ended.
+    """Join ``records`` of one axis, with a bridge between each two; a ``rotary`` one continues in the same turn.
 
-    Position and reference cross a bridge smoothly, at the speed of either end. Columns that one record lacks are left
-    out. Raises :class:`RecordError` for records of different sampling periods.
+    Position and reference cross the bridge smoothly, with the slope of either end. Columns that one record lacks are
+    left out. Raises :class:`RecordError` for records of different sampling periods.
 
     >>> ramp = np.arange(100.0) / 100
     >>> both = joined([Record.from_arrays(0.01, q, q, np.sin(ramp), name="a") for q in (ramp, -ramp)])
@@ -225,20 +223,23 @@ def joined(records: Sequence[Record], rotary: bool = False) -> Record:
     (300, 100, 'a + a')
     """
     first, *others = records
-    for one in others:
-        if not same_period(one.period, first.period):
+    for record in others:
+        if not same_period(record.period, first.period):
             raise RecordError(
-                f"{one.name}: found a sampling period of {1e3 * one.period:g} ms, expected {1e3 * first.period:g} ms "
-                f"of {first.name}; join records of one drive"
+                f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected "
+                f"{1e3 * first.period:g} ms of {first.name}; join records of one drive"
             )
-    names = [name for name in OPTIONAL if name != "bridged" and all(getattr(one, name) is not None for one in records)]
+    names = [
+        name for name in OPTIONAL if name != "bridged" and all(getattr(record, name) is not None for record in records)
+    ]
     bridge = max(2, round(BRIDGE / first.period))
     columns: dict[str, list[np.ndarray]] = {name: [] for name in ("q_ref", "q", "u", "bridged", *names)}
     last = 0.0
-    for index, one in enumerate(records):
-        turn = 2.0 * math.pi * round((last - one.q[0]) / (2.0 * math.pi)) if rotary and index else 0.0
-        own = {name: getattr(one, name) for name in names} | {"q_ref": one.q_ref + turn, "q": one.q + turn, "u": one.u}
-        own["bridged"] = np.zeros(len(one)) if one.bridged is None else one.bridged
+    for index, record in enumerate(records):
+        turn = 2.0 * math.pi * round((last - record.q[0]) / (2.0 * math.pi)) if rotary and index else 0.0
+        own = {name: getattr(record, name) for name in names}
+        own |= {"q_ref": record.q_ref + turn, "q": record.q + turn, "u": record.u}
+        own["bridged"] = np.zeros(len(record)) if record.bridged is None else record.bridged
         for name, values in own.items():
             if index:
                 between = np.ones(bridge) if name == "bridged" else _between(columns[name][-1], values, bridge)
@@ -250,19 +251,19 @@ def joined(records: Sequence[Record], rotary: bool = False) -> Record:
     return replace(
         first,
         t=np.arange(whole["q"].size) * first.period,
-        name=" + ".join(one.name for one in records),
+        name=" + ".join(record.name for record in records),
         sha256="",
         extra={key: value for key, value in first.extra.items() if np.size(value) == 1},
-        warnings=tuple(f"{one.name}: {text}" for one in records for text in one.warnings),
-        contradictions=tuple(f"{one.name}: {text}" for one in records for text in one.contradictions),
-        q_ref_recorded=all(one.q_ref_recorded for one in records),
+        warnings=tuple(f"{record.name}: {text}" for record in records for text in record.warnings),
+        contradictions=tuple(f"{record.name}: {text}" for record in records for text in record.contradictions),
+        q_ref_recorded=all(record.q_ref_recorded for record in records),
         measured=None,
         **{**whole, **absent},  # type: ignore[arg-type]
     )
 
 
 def _between(before: np.ndarray, after: np.ndarray, count: int) -> np.ndarray:
-    """A cubic over ``count`` samples from the end of ``before`` to the start of ``after``, at the slope of either."""
+    """A cubic (count,) from the end of ``before`` to the start of ``after``, with the slopes of both."""
     x = np.arange(1, count + 1) / (count + 1)
     start, stop = float(before[-1]), float(after[0])
     first, last = (count + 1) * float(before[-1] - before[-2]), (count + 1) * float(after[1] - after[0])

@@ -1,15 +1,12 @@
 """Text tables as drives export them: ; , tab or space, decimal point or comma, a preamble, comments, encodings.
 
-Where the table of a text file begins, told by its shape: a preamble, comments, rows of titles and of units above it.
+The header is found by the shape of the rows. The samples are the first rows of numbers that are alike. Their delimiter,
+a semicolon, a tab, a comma or white space, is the one that makes most cells numbers. The titles are a row above with as
+many cells, commented or not; a cell of the row below may be the unit of a title, or a plainer title.
 
-The samples are the first rows of numbers that are alike. What stands between their cells is what makes most of them
-numbers: a semicolon, a tab, a comma, or white space. The titles are a row above them with as many cells, commented or
-not; in the row below it a cell may be the unit of the title above, or the plainer title of the two.
-
-TwinCAT Scope exports: a header block for each channel, and a time column for each channel or for several.
-
-Above the samples stand rows that begin with what they hold (Name, Data-Type, SampleTime[ms], SymbolName, Unit ...). A
-column under the word itself is a time in ms (or in file time, 100 ns), the others are the channels that share it.
+TwinCAT Scope exports have a header block for each channel, and a time column for one or several channels. Each row of
+the header begins with its key (Name, Data-Type, SampleTime[ms], SymbolName, Unit ...). A column with the key as its
+entry is a time in ms (or in file time, 100 ns); the channels after it share it.
 Format: Beckhoff Information System, TE13xx, "Export to csv".
 """
 
@@ -34,29 +31,29 @@ from emps_design.units import is_unit, spelled
 
 SPACE = " "  # any white space
 DELIMITERS = (";", "\t", ",")
-LOOKED_AT = 400  # lines, among which the first samples are expected
+LOOKED_AT = 400  # lines in which the first samples are expected
 COMMENT = "#"
 COMMENTS = (COMMENT, "%", "//")
-_ALIKE = 3  # lines of numbers in a row that are samples: a preamble has no such block
+_ALIKE = 3  # lines of numbers in a row that are samples; a preamble has fewer
 _OTHER_UNIT = re.compile(r"°C|K|[mk]?Hz|[mk]?W|bar|m?Pa|(\w+|°)/(s|min)(\^?[23]|[²³])?")  # of columns that are not read
 
-Choice = Callable[[list[str]], Sequence[object]]  # of titles, those that mean something
+Choice = Callable[[list[str]], Sequence[object]]  # selects the titles with a meaning
 
-TIME = "time [ms]"  # what the time columns, which have no title, are called here
+TIME = "time [ms]"  # title of the time columns, which have none
 NAMES, SAMPLE_TIME, UNIT, SCALE = "Name", "SampleTime[ms]", "Unit", "Unit ScaleFactor"
 FILE_TIME = 1e15  # above it a time is in ticks of 100 ns since 1601, not in ms since the start
 TICK = 1e-4  # ms
 
 LONGEST_LINE = 100_000  # characters
-HEAD = 1 << 16  # bytes that say which encoding it is
-PIECE = 1 << 20  # characters that are looked through at a time
+HEAD = 1 << 16  # bytes that determine the encoding
+PIECE = 1 << 20  # characters that are scanned at a time
 BLOCK = 50_000  # rows that are read at a time
-END = "EOF"  # what some exports write below the last sample
+END = "EOF"  # the line after the last sample in some exports
 
 
 @dataclass(frozen=True)
 class Header:
-    """``delimiter`` and ``titles`` of a table, and the line (from 0) that has the first sample."""
+    """``delimiter`` and ``titles`` of a table, and the line (from 0) of the first sample."""
 
     delimiter: str
     titles: list[str]
@@ -64,10 +61,10 @@ class Header:
 
 
 def find_header(lines: Sequence[str], known: Choice, source: str) -> Header:
-    """Find titles and samples in the first ``lines`` of a file; raises :class:`RecordError` where there are none.
+    """Find titles and samples in the first ``lines`` of a file; raises :class:`RecordError` without them.
 
-    Of several rows that could be the titles, the one in which ``known`` finds something is taken, the last of them
-    otherwise. A table without titles has the columns data:0, data:1 ..., where ``known`` finds something in these.
+    Of several possible rows of titles, the one in which ``known`` selects any is taken, otherwise the last. A table
+    without titles has the columns data:0, data:1 ..., if ``known`` selects any of these.
 
     >>> find_header(["Trace;12", "t [ms];q", "0,0;1", "0,5;2", "1,0;3"], lambda titles: [], "a.csv")
     Header(delimiter=';', titles=['t [ms]', 'q'], samples=2)
@@ -111,7 +108,7 @@ def is_comment(line: str) -> bool:
 
 
 def number(cell: str) -> float | None:
-    """The number in a cell, with a decimal point or comma, or hexadecimal as the word of a state, or None."""
+    """The number in a cell, with decimal point or comma, or hexadecimal; None for no number."""
     try:
         if cell.strip()[:2].lower() == "0x":
             return float(int(cell, 16))
@@ -133,7 +130,7 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 def _first_samples(lines: Sequence[str]) -> tuple[int | None, str]:
-    """The first of several lines of numbers that are alike, and what delimits their cells; None where there is none."""
+    """Index of the first of several lines of numbers that are alike, None for none, and their delimiter."""
     best: tuple[tuple[float, int], int, str] | None = None
     for delimiter in (*DELIMITERS, SPACE):
         shapes = [_shape(line, delimiter) for line in lines]
@@ -142,7 +139,7 @@ def _first_samples(lines: Sequence[str]) -> tuple[int | None, str]:
             if shape is None or shape[0] < 0.5 or shape[1] < 2:
                 continue
             if all(other[0] >= 0.5 and abs(other[2] - shape[2]) <= 1 for other in block):
-                # Spaces may stand behind other delimiters too: they only count where these leave words.
+                # Spaces may follow other delimiters: they count only where those leave no numbers.
                 key = (shape[0], shape[1] if delimiter != SPACE else 0)
                 if best is None or key > best[0]:
                     best = key, i, delimiter
@@ -151,7 +148,7 @@ def _first_samples(lines: Sequence[str]) -> tuple[int | None, str]:
 
 
 def _shape(line: str, delimiter: str) -> tuple[float, int, int] | None:
-    """Share and count of numbers among the filled cells of a line, and its cells; None for a blank one or a comment."""
+    """Share and count of numbers in the filled cells of a line, and its cells; None for a blank line or a comment."""
     if not line.strip() or is_comment(line):
         return None
     cells = split(line, delimiter)
@@ -161,19 +158,19 @@ def _shape(line: str, delimiter: str) -> tuple[float, int, int] | None:
 
 
 def _candidates(lines: Sequence[str], delimiter: str, width: int) -> list[list[str]]:
-    """What may be the titles of ``width`` columns in ``lines``, the last line first: two rows together, and each."""
+    """Possible titles of ``width`` columns in ``lines``, last line first: rows with their units, and single rows."""
     near = 0 if delimiter == SPACE else 1  # a row may end with a delimiter
     rows = [row for row in (_titles(line, delimiter, width) for line in lines) if len(row) >= 2]
     rows = [row for row in rows if abs(len(row) - width) <= near]
-    found = []
+    candidates = []
     for row, above in pairwise([*rows, []]):
         both = _with_units(above, row)
-        found += [row] if both is None else [both] if all(map(_unit_in, row)) else [both, row]
-    return found
+        candidates += [row] if both is None else [both] if all(map(_unit_in, row)) else [both, row]
+    return candidates
 
 
 def _titles(line: str, delimiter: str, width: int = 0) -> list[str]:
-    """The titles in a line. Between white space they may have some inside, where two or a bracket tell their end."""
+    """The titles in a line; those between white space may contain single spaces, or end with a bracketed unit."""
     titles = [cell.strip() for cell in split(line, delimiter)]
     while titles and not titles[-1]:
         titles.pop()
@@ -186,7 +183,7 @@ def _titles(line: str, delimiter: str, width: int = 0) -> list[str]:
 
 
 def _unit_in(cell: str) -> str | None:
-    """The unit that a cell is, in brackets or not, "" where it says that there is none, None where it is no unit."""
+    """The unit in a cell, in brackets or not; "" for an explicit absence of a unit, None for any other text."""
     inner = cell.strip("[]() ")
     if is_unit(inner):
         return inner if spelled(inner) else ""
@@ -194,7 +191,7 @@ def _unit_in(cell: str) -> str | None:
 
 
 def _with_units(titles: list[str], row: list[str]) -> list[str] | None:
-    """``titles`` with what the ``row`` below them adds, a unit or a plainer title; None where it has no unit."""
+    """``titles`` with the units or plainer titles of the ``row`` below them; None where it has no unit."""
     cells = [*row, *[""] * (len(titles) - len(row))]
     units = list(map(_unit_in, cells))
     if len(titles) < len(row) or not any(units):
@@ -228,7 +225,7 @@ def _no_titles(source: str, line: int) -> RecordError:
 
 @dataclass(frozen=True)
 class Scope:
-    """Columns of an export on one clock, by title; all titles; the row of its first sample; what was done."""
+    """Columns of an export on one clock, by title; all ``titles``; the row of the first sample; notes."""
 
     columns: dict[str, np.ndarray]
     titles: tuple[str, ...]
@@ -237,15 +234,15 @@ class Scope:
 
 
 def is_scope(lines: Sequence[str]) -> bool:
-    """Whether the first ``lines`` of a file are the header of such an export."""
+    """Whether the first ``lines`` of a file are the header of a TwinCAT Scope export."""
     starts = {re.split(r"[;,\t]", line, maxsplit=1)[0].strip() for line in lines[:60]}
     return NAMES in starts and SAMPLE_TIME in starts
 
 
 def read_scope(lines: Iterable[str], rows: int, source: str, known: Choice) -> Scope:
-    """Read the channels in whose titles ``known`` finds a meaning, all at the times of the one sampled most often.
+    """Read the channels whose titles ``known`` selects, at the times of the fastest.
 
-    A slower channel is interpolated; a note says so.
+    A slower channel is interpolated, with a note.
     """
     numbered = enumerate(lines, 1)
     header, first, row = _header(numbered, source)
@@ -293,11 +290,11 @@ def _channels(header: _Header) -> tuple[dict[str, int], dict[str, int]]:
 @dataclass(frozen=True)
 class _Header:
     delimiter: str
-    rows: dict[str, list[str]]  # by what stands in their first cell
+    rows: dict[str, list[str]]  # by their first cell
 
 
 def _header(numbered: Iterator[tuple[int, str]], source: str) -> tuple[_Header, int, str]:
-    """The rows above the samples, and number and text of the first that is one."""
+    """The rows above the samples, and number and text of the first sample."""
     rows: dict[str, list[str]] = {}
     delimiter = ""
     for place, row in numbered:
@@ -307,19 +304,21 @@ def _header(numbered: Iterator[tuple[int, str]], source: str) -> tuple[_Header, 
         if rows and cells and number(cells[0]) is not None:
             return _Header(delimiter, rows), place, row
         if cells and cells[0]:
-            rows[cells[0]] = cells  # the row Name of the file comes before that of the channels
+            rows[cells[0]] = (
+                cells  # the last row of a key counts: the file's own Name comes before that of the channels
+            )
     raise RecordError(f"{source}: found a header and no samples")
 
 
 def _numbers(
     lines: Iterable[str], delimiter: str, wanted: list[int], source: str, first: int, rows: int, names: list[str]
 ) -> np.ndarray:
-    """The ``wanted`` columns, (rows, wanted); NaN where a channel has ended before the others."""
+    """The ``wanted`` columns, (rows, wanted); NaN after the end of a channel."""
     table, filled = np.empty((rows, len(wanted))), 0
     for i, line in enumerate(lines):
         cells = split(line.replace(",", ".") if delimiter != "," else line, delimiter)
         if len(cells) <= wanted[0] or not any(cells):
-            continue  # a blank line, or the word that ends the file
+            continue  # a blank line, or the end mark
         for k, column in enumerate(wanted):
             cell = cells[column].strip() if column < len(cells) else ""
             value = number(cell) if cell else np.nan
@@ -341,7 +340,7 @@ def _on_one_clock(
     source: str,
     notes: tuple[str, ...],
 ) -> Scope:
-    """Every channel at the times of the fastest, from where the last begins to where the first ends."""
+    """Every channel at the times of the fastest, over the time that all have in common."""
     filled: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     for title, (t, values) in channels.items():
         there = np.isfinite(t) & np.isfinite(values)
@@ -362,7 +361,7 @@ def _on_one_clock(
     t = t[inside]
     if t.size < 2:
         raise RecordError(f"{source}: the channels have no time in common, expected one recording")
-    said = list(notes)
+    messages = list(notes)
     columns = {TIME: t - t[0]}
     for title, (own, values) in filled.items():
         own_part = own[inside]
@@ -370,15 +369,15 @@ def _on_one_clock(
             columns[title] = values[inside]
             continue
         columns[title] = np.interp(t, own, values)
-        said.append(
+        messages.append(
             f"{title}: sampled every {steps[title]:g} ms, interpolated at the times of {fastest}"
             f" (every {steps[fastest]:g} ms)"
         )
-    return Scope(columns, titles, first, tuple(said))
+    return Scope(columns, titles, first, tuple(messages))
 
 
 def _scaled(header: dict[str, list[str]], place_of: dict[str, int], chosen: list[str]) -> tuple[str, ...]:
-    """A note for each channel to which the Scope gave a scale of its own: only the export knows whether it is in."""
+    """A note for each channel with a scale of the Scope, which may or may not be applied in the export."""
     factors = header.get(SCALE, [])
     return tuple(
         f"{title}: the Scope's unit has the scale {factors[place_of[title]]}; values are taken as they stand"
@@ -389,7 +388,7 @@ def _scaled(header: dict[str, list[str]], place_of: dict[str, int], chosen: list
 
 @dataclass(frozen=True)
 class TextTable:
-    """Columns by title, those that were asked for; all ``titles``; the row of the file with the first sample."""
+    """The selected columns by title; all ``titles``; the row of the first sample in the file; notes."""
 
     columns: dict[str, np.ndarray]
     titles: tuple[str, ...]
@@ -398,9 +397,9 @@ class TextTable:
 
 
 def read_table(file: BinaryIO, source: str, known: Choice, most: int = LONGEST) -> TextTable:
-    """Return the columns of a text table in whose titles ``known`` finds a meaning; it has at ``most`` so many samples.
+    """Return the columns of a text table whose titles ``known`` selects; ``most`` limits the samples.
 
-    It is gone through twice, to count its rows and to read them block by block: its text is never whole in memory.
+    The file is read twice, to count its rows and to read them block by block: its text is never in memory as a whole.
     """
     encoding = _encoding(file.read(HEAD))
     file.seek(0)
@@ -435,10 +434,10 @@ def table_titles(file: BinaryIO, source: str) -> list[str]:
 
 
 def read_plain_table(content: bytes, source: str, expected: str, needed: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """Return the columns of a table that this package or a script wrote: a row of titles, numbers below it.
+    """Return the columns of a simple table: a row of titles, numbers below it.
 
-    Commas or semicolons stand between cells, # begins a comment. Where a title that is ``needed`` is missing the
-    columns are empty: the titles are the trouble then, not what is below them. ``expected`` ends a message.
+    Cells are separated by commas or semicolons, # begins a comment. Where a ``needed`` title is missing the columns are
+    empty, so that the caller reports the titles. ``expected`` ends a message.
 
     >>> {name: values.tolist() for name, values in read_plain_table(b"t; q\\n0; 1\\n1; 3 # end", "a.csv", "").items()}
     {'t': [0.0, 1.0], 'q': [1.0, 3.0]}
@@ -463,7 +462,7 @@ def read_plain_table(content: bytes, source: str, expected: str, needed: Collect
 
 
 def _encoding(head: bytes) -> str:
-    """What the first bytes are: a byte-order mark says it, otherwise UTF-8, or what Western European Windows writes."""
+    """The encoding of the first bytes: by byte-order mark or zeros UTF-16, else UTF-8, else Windows-1252."""
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     pairs = len(head) // 2
@@ -477,12 +476,12 @@ def _encoding(head: bytes) -> str:
 
 
 def _rows(text: TextIO, source: str, most: int) -> int:
-    """How many rows there are at most; binary data and too many are refused."""
-    rows, begun = 1, 0  # ``begun``: characters of the line that goes on in the next piece
+    """Upper bound on the number of rows; raises :class:`RecordError` for binary data and for too many rows."""
+    rows, pending = 1, 0  # ``pending``: characters of the unfinished line at the end of the last piece
     while piece := text.read(PIECE):
         if "\0" in piece:
             raise RecordError(f"{source}: found binary data, expected a text table")
-        begun = _unfinished_line(piece, begun, source)
+        pending = _unfinished_line(piece, pending, source)
         rows += piece.count("\n")
         if rows > most + 1:
             raise RecordError(f"{source}: found more than {most} rows, expected fewer; {CUT}")
@@ -490,9 +489,9 @@ def _rows(text: TextIO, source: str, most: int) -> int:
     return rows
 
 
-def _unfinished_line(piece: str, begun: int, source: str) -> int:
-    """Characters of the last line of ``piece``, whose first began ``begun`` earlier; too long a line is refused."""
-    start, room = 0, LONGEST_LINE - begun
+def _unfinished_line(piece: str, pending: int, source: str) -> int:
+    """Characters of the last line of ``piece``, whose first has ``pending`` before it; refuses too long a line."""
+    start, room = 0, LONGEST_LINE - pending
     while len(piece) - start > room:
         end = piece.rfind("\n", start, start + room + 1)
         if end < 0:
@@ -501,7 +500,7 @@ def _unfinished_line(piece: str, begun: int, source: str) -> int:
             )
         start, room = end + 1, LONGEST_LINE
     last = piece.rfind("\n")
-    return begun + len(piece) if last < 0 else len(piece) - last - 1
+    return pending + len(piece) if last < 0 else len(piece) - last - 1
 
 
 def _read(head: list[str], lines: Iterator[str], rows: int, source: str, known: Choice) -> TextTable:
@@ -517,12 +516,12 @@ def _read(head: list[str], lines: Iterator[str], rows: int, source: str, known: 
         filled += len(numbers)
     if not filled:
         raise RecordError(f"{source}: found a header and no samples")
-    found = {titles[i]: column[:filled] for i, column in zip(wanted, columns, strict=True)}
-    return TextTable(found, tuple(titles), header.samples + 1)
+    by_title = {titles[i]: column[:filled] for i, column in zip(wanted, columns, strict=True)}
+    return TextTable(by_title, tuple(titles), header.samples + 1)
 
 
 def _blocks(lines: Iterator[str], row: int) -> Iterator[tuple[int, list[str]]]:
-    """The rows that are left, some at a time, with the number of the first; what ends the file is left out."""
+    """The remaining rows in blocks, with the number of the first, without blank lines and end mark at the end."""
     blank: list[str] = []
     while rows := list(islice(lines, BLOCK)):
         rows = blank + rows
@@ -540,14 +539,14 @@ def _parse(
 ) -> np.ndarray:
     """Numbers of the ``wanted`` columns, shape (rows, wanted), NaN for an empty cell.
 
-    The slow way is for empty cells, and for naming the cell that is wrong.
+    Fast where all cells are numbers, otherwise cell by cell, to accept empty cells and to name a wrong one.
     """
     between = None if delimiter == SPACE else delimiter
     longer = max(len(row.split()) - 1 if between is None else row.count(between) for row in rows) >= len(titles)
     if not longer and not any('"' in row or is_comment(row) or not row.strip() for row in rows):
         decimal_comma = delimiter != "," and any("," in row for row in islice(rows, 100))
         points = (row.replace(",", ".") for row in rows) if decimal_comma else rows
-        with suppress(ValueError):  # a cell is no number, or a decimal comma comes late: cell by cell finds it
+        with suppress(ValueError):  # a cell is no number, or the first decimal comma comes late
             return np.loadtxt(points, delimiter=between, comments=None, usecols=wanted, ndmin=2)
     table, filled = np.empty((len(rows), len(wanted))), 0
     for i, row in enumerate(rows):
@@ -561,7 +560,7 @@ def _parse(
             )
         for k, column in enumerate(wanted):
             cell = cells[column] if column < len(cells) else ""
-            value = number(cell) if cell.strip() else np.nan  # refused where it is not cut off
+            value = number(cell) if cell.strip() else np.nan  # refused later, unless it is cut off
             if value is None:
                 raise RecordError(
                     f"{source}: row {first_row + i}, column {titles[column]!r}: found {cell.strip()[:40]!r}, expected "

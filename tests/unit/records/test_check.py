@@ -5,7 +5,7 @@ import pytest
 
 from emps_design.errors import RecordError
 from emps_design.records import Record
-from emps_design.records.check import checked
+from emps_design.records.check import check_columns
 from emps_design.records.layout import Layout
 
 N = 400
@@ -100,7 +100,7 @@ def test_a_command_in_steps_is_no_saturated_one(limit, said):
 
 def test_a_unit_that_overflows_is_refused():
     with pytest.raises(RecordError, match="column u, row 0: found inf, expected a finite number"):
-        checked({"t": T, "q_ref": Q, "q": Q, "u [kV]": 1e307 * U}, "r")
+        check_columns({"t": T, "q_ref": Q, "q": Q, "u [kV]": 1e307 * U}, "r")
 
 
 @pytest.mark.parametrize(("period", "digits"), [(2.5e-4, 4), (1.0 / 3000.0, 4)])
