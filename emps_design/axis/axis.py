@@ -1,8 +1,7 @@
-"""The axis: mechanics, drive, sampling, controller and the effects found so far; TOML in and out.
+"""The axis: mechanics, drive, sampling, controller and effects, from and to TOML.
 
-Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (load side, SI).
-
-What is wrong with an axis, in one line and in the axis's own units.
+Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (load side, SI). An invalid axis is reported in
+one line, in the units of the axis.
 """
 
 from __future__ import annotations
@@ -77,14 +76,14 @@ def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
         elif field is not None:
             expected = f"a number{f' [{unit}]' if unit else ''}: {units.words(str(field.description))}"
         return f"{place}: missing, expected {expected}"
-    found = repr(problem["input"])
+    shown = repr(problem["input"])
     number = isinstance(problem["input"], int | float) and not isinstance(problem["input"], bool)
-    found = found if len(found) <= 60 else f"{found[:57]}..."
-    return f"{place}: found {found}{f' {unit}' if unit and number else ''}, expected {expected}"
+    shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
+    return f"{place}: found {shown}{f' {unit}' if unit and number else ''}, expected {expected}"
 
 
 def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:
-    """What a field wants, in the words of an engineer rather than of the validator."""
+    """The expected value of a field, in an engineer's words rather than the validator's."""
     words = {
         "float_type": f"a number{unit}",
         "int_type": f"a whole number{unit}",
@@ -105,7 +104,7 @@ def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> st
 
 
 def _printable(name: str) -> str:
-    """A name goes to terminals and pages: no line breaks, nor anything else that is not seen."""
+    """Refuse a name with line breaks or control characters, since it goes to terminals and pages."""
     if not name.isprintable():
         raise ValueError(f"found {one_line(name)!r}, expected text on one line without control characters")
     return name
@@ -135,19 +134,19 @@ class Axis(AxisTable):
 
     @model_validator(mode="after")
     def _possible(self) -> Axis:
-        """Refuse numbers that no machine has, in the axis's own units."""
+        """Refuse impossible numbers and effects, in the units of the axis."""
         for name in TABLES:
             for path, value in leaves(getattr(self, name).model_dump(exclude_none=True), (name,)):
                 field = field_in(path, self.controller.kind) if isinstance(value, float) else None
                 if field is not None:
-                    # pydantic nests its bound where None is allowed too
+                    # pydantic nests the bound where None is allowed
                     positive = "gt=0" in repr((field.annotation, field.metadata))
                     self.units.check(".".join(path), value, unit_of(field), positive)
-        for place, one in enumerate(self.effects):
-            if not one.effect.acts_on(self.motion):
+        for place, effect in enumerate(self.effects):
+            if not effect.effect.acts_on(self.motion):
                 raise ValueError(
-                    f"effects.{place}.kind: found {one.kind!r} on a {self.motion} axis, expected an effect that such "
-                    f"an axis can have; {one.kind} needs motion = {one.effect.motion!r}"
+                    f"effects.{place}.kind: found {effect.kind!r} on a {self.motion} axis, expected an effect that "
+                    f"such an axis can have; {effect.kind} needs motion = {effect.effect.motion!r}"
                 )
         drive = self.drive
         if drive.current_gain and drive.reduction and drive.torque_constant:
@@ -162,12 +161,12 @@ class Axis(AxisTable):
 
     @property
     def damping(self) -> float:
-        """Viscous friction and what the motor's back-EMF brakes [N/(m/s)]: what a loop around the drive sees."""
+        """Viscous friction plus braking by the back-EMF [N/(m/s)]: the damping in a loop around the drive."""
         return self.mechanics.viscous + self.drive.braking
 
     @property
     def units(self) -> Units:
-        """The units of this axis, in which its numbers are read and written."""
+        """The units of this axis, for reading and writing its numbers."""
         return Units(self.motion, self.drive.command, self.drive.command_unit)
 
     def supplied_by(self, *records: Record) -> Axis:
@@ -182,7 +181,7 @@ class Axis(AxisTable):
         """Read an axis from TOML ``text``; ``source`` names it in messages. Raises :class:`AxisError`."""
         try:
             table = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:  # a TOMLDecodeError, or what tomllib lets through
+        except (ValueError, RecursionError) as error:  # a TOMLDecodeError, or an error inside tomllib
             raise AxisError(f"{source}: not TOML, {' '.join(str(error).split())}") from error
         return cls.from_dict(table, source)
 
@@ -200,7 +199,7 @@ class Axis(AxisTable):
         return cls.from_toml(_text(Path(path)), str(path))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data in the shape of the TOML file, unset keys left out."""
+        """Plain data in the shape of the TOML file, without unset keys."""
         table = self.model_dump(exclude_none=True)
         effects = [{"kind": e.kind, **e.parameters} for e in self.effects]
         table.pop("effects")
@@ -257,7 +256,7 @@ class Axis(AxisTable):
         return table(self.name, rows, ("table", "key", "value", "unit"))
 
     def _commented(self, text: str) -> str:
-        """``text`` with what a key is, and its unit, behind each line that sets one."""
+        """``text`` with a comment, description and unit, after each line that sets a key."""
         lines, table = [], ""
         for line in text.splitlines():
             table = line.strip("[]") if line.startswith("[") else table
@@ -283,7 +282,7 @@ def record_toml(columns: Mapping[str, Mapping[str, Any] | Sequence[str]]) -> str
     def written(entry: Mapping[str, Any] | Sequence[str]) -> str:
         if not isinstance(entry, Mapping):
             return json.dumps(list(entry))
-        # A title may hold what Unicode counts as the end of a line.
+        # A title may hold other line ends of Unicode.
         return f"{{ {', '.join(tomli_w.dumps(entry).strip(NEW_LINE).split(NEW_LINE))} }}"
 
     return "[record]\n" + "".join(f"{key} = {written(entry)}\n" for key, entry in columns.items())

@@ -33,7 +33,7 @@ from emps_design.laws import (
 )
 from emps_design.units import COMMANDS, check_command_unit
 
-NO_LIMIT = 1e8  # the largest command where none is known: no magnitude that a unit refuses
+NO_LIMIT = 1e8  # largest command where the limit is unknown: accepted in every unit
 LIMIT = {"voltage_limit", "command_limit"}  # two keys of a drive for one number
 
 
@@ -59,8 +59,8 @@ class Mechanics(AxisTable):
 class Drive(AxisTable):
     """The drive chain, equation (1): force = G_tau u, with G_tau given or as G_i r k_t of a data sheet.
 
-    The command u is what a record's column of it holds: a voltage that sets the current, the current itself, a torque
-    or force, or the duty of a motor without a current loop. Numbers with a command are in ``command_unit``.
+    The command u, as recorded, is a voltage that sets the current, the current itself, a torque or force, or the duty
+    of a motor without a current loop. Quantities with a command are in ``command_unit``.
     """
 
     command: Literal["voltage", "current", "torque", "force", "duty"] = Field(
@@ -110,7 +110,7 @@ class Drive(AxisTable):
 
     @property
     def gain(self) -> float:
-        """Force per unit of the command [N/V, or as the command is counted]: G_tau, of a duty times the supply.
+        """Force per unit of the command [N/V, N per command unit]: G_tau, for a duty times the supply.
 
         Raises :class:`AxisError` for a duty without a supply.
         """
@@ -125,12 +125,12 @@ class Drive(AxisTable):
 
     @property
     def braking(self) -> float:
-        """What the back-EMF does to motion, force per velocity [N/(m/s)]: none behind a current loop."""
+        """Braking force of the back-EMF per velocity [N/(m/s)]; 0 behind a current loop."""
         return self.force_gain * self.back_emf
 
     @model_serializer(mode="wrap")
     def _as_written(self, table: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """What an axis told a voltage in V has always been written as, and what is not the default besides."""
+        """Write a voltage command in V with its ``voltage_limit``, and leave out defaults."""
         own = table(self)
         defaults = {"command": "voltage", "command_unit": COMMANDS[self.command], "back_emf": 0.0}
         return {
@@ -141,7 +141,7 @@ class Drive(AxisTable):
 
 
 def _force_gain_from_data_sheet(table: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a drive's table with the force gain of its data sheet, where that is given and no other."""
+    """A copy of a drive's table with the force gain from its data sheet, if that is complete and no other is given."""
     names = ("current_gain", "reduction", "torque_constant")
     if not any(name in table for name in names):
         return dict(table)
@@ -166,9 +166,9 @@ class Sampling(AxisTable):
 
 
 class Controller(AxisTable):
-    """The law that makes the voltage: its kind, and its parameters as the law's own table has them.
+    """The control law: its ``kind`` and the ``parameters`` of its table.
 
-    A parameter reads as an attribute, None where it is not given: ``axis.controller.kp``; an inner table is a dict.
+    A parameter reads as an attribute, None if absent: ``axis.controller.kp``; an inner table is a dict.
     """
 
     kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance, cascade, p or none")
@@ -233,7 +233,7 @@ TABLES: dict[str, type[AxisTable]] = {
 
 
 def fields_in(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
-    """The keys of a ``table`` of the axis file, in that of the controller those of every law; none for another name.
+    """The fields of a ``table`` of the axis file by key, for the controller those of the law ``kind``; none if unknown.
 
     >>> list(fields_in("controller.velocity", "cascade"))
     ['kp', 'ti', 'form']
@@ -247,6 +247,6 @@ def fields_in(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
 
 
 def field_in(path: Sequence[str], kind: str = NONE) -> FieldInfo | None:
-    """The field at a ``path`` of keys, the name of its table first; None where there is none."""
+    """The field at a ``path`` of keys, which begins with its table; None for an unknown key."""
     *table, key = path
     return fields_in(".".join(table), kind).get(key)

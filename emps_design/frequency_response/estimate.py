@@ -40,7 +40,7 @@ from emps_design.frequency_response.measured_plant import continuous_from_increm
 from emps_design.frequency_response.response import BAND, FrequencyResponse, Resonance, has_wrong_sign, resonances
 from emps_design.frequency_response.signals import COMMAND, EXCITATION, REFERENCE, Signals, motion, signals_of
 from emps_design.laws import NONE
-from emps_design.observer import given_back, motor_share
+from emps_design.observer import back_emf_compensation, motor_share
 from emps_design.progress import Progress, untold
 from emps_design.records import Record
 from emps_design.records.clock import same_period
@@ -250,7 +250,7 @@ def _driven(record: Record, axis: Axis) -> Record:
     if np.ndim(share) == 0:
         return record
     at = np.minimum(np.arange(len(record)) + round(axis.sampling.computation_delay), len(record) - 1)
-    return replace(record, u=record.u * share[at] + given_back(axis, record)[at])
+    return replace(record, u=record.u * share[at] + back_emf_compensation(axis, record)[at])
 
 
 def _same_period(records: list[Record], axis: Axis) -> float:

@@ -1,12 +1,11 @@
 """External force from motor force and motion: off-line (19), on-line sample by sample, and by a Kalman filter.
 
-``tau_e = W X - tau_m`` with the force positive where it pushes towards +q. The drive holds u over a period, so the
-force that belongs to the second difference of the position around t_k is the mean of the two periods that meet there.
-At rest friction takes up whatever is below break-away: no observer sees it, and none here pretends to.
+``tau_e = W X - tau_m``, positive towards +q. The drive holds u over a period, so the motor force that belongs to the
+second difference of the position around t_k is the mean over the two periods that meet there. At rest friction balances
+any force below break-away, which is not observable.
 
-From the voltage a record holds to the voltage that acts: maps, delays and the lag of the current loop.
-
-The on-line force observer as a difference equation in plain Python of numbers, as a drive computes it.
+The recorded voltage is converted to the acting one by the actuator's maps, delays and the lag of the current loop. The
+on-line observer is a difference equation of plain numbers, as a drive computes it.
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ from emps_design.effects.effect import ADDED
 from emps_design.errors import InputError
 from emps_design.records import Record
 
-# What stands where in the kernel's gains, and in its memory.
+# Indices of the kernel's gains, and of its memory.
 PERIOD, FORCE_GAIN, ALPHA, MASS, VISCOUS, COULOMB, OFFSET, REST = range(8)
 Q, V, COMMAND, FORCE = range(4)
 
 DEFAULT_CUTOFF_HZ = 20.0
-BLOCK = 50_000  # samples of a record between two words of progress
-REST_VELOCITY = 1e-3  # m/s, below it the sign of the velocity is taken as 0, where nothing is known of the motion
+BLOCK = 50_000  # samples of a record between two reports of progress
+REST_VELOCITY = 1e-3  # m/s, default below which the sign of the velocity is taken as 0
 
 
 def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
-    """Voltage that acts, (n,) [V], of the recorded ``u``, and the axis without what was used up on the way.
+    """Acting voltage (n,) [V] for the recorded ``u``, and the axis without the effects that are then accounted for.
 
-    Static maps of the actuator, delays and lags, that of the current loop too, are known from ``u`` alone, and a
-    disturbance of the controller is in ``u`` already: with them taken care of here, every observer, on-line ones too,
-    sees the force that reaches the carriage. What a back-EMF brakes joins the viscous friction.
+    Static maps, delays and lags of the actuator, with that of the current loop, follow from ``u`` alone, and ``u``
+    already contains a disturbance of the controller. So every observer, off-line or on-line, gets the force at the
+    carriage. Braking by the back-EMF is added to the viscous friction.
 
     >>> from emps_design.machines import machine
     >>> dead = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.5}])
@@ -50,8 +49,8 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     """
     b, kept = tuple(float(x) for x in axis.mechanics.array()), []
     late, lags = float(axis.sampling.computation_delay), [axis.drive.current_time_constant]
-    for one in axis.effects:
-        effect, p = one.effect, tuple(float(x) for x in one.effect.values(one.parameters))
+    for entry in axis.effects:
+        effect, p = entry.effect, tuple(float(x) for x in entry.effect.values(entry.parameters))
         if effect.actuator is not None:
             u = np.array([effect.actuator(float(voltage), p) for voltage in u])
         elif effect.delay is not None:
@@ -59,10 +58,10 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
         elif effect.lag is not None:
             lags.append(effect.lag(0.0, 0.0, 0.0, 0.0, (), p, b))
         elif effect.command is None:
-            kept.append(one)
-    u = _delayed(u, late)
+            kept.append(entry)
+    u = _delay(u, late)
     for constant in lags:
-        u = _lagged(u, constant / axis.sampling.period)
+        u = _lag(u, constant / axis.sampling.period)
     used_up = {
         "drive": {"current_time_constant": 0.0, **({"back_emf": 0.0} if axis.drive.back_emf else {})},
         "sampling": {"computation_delay": 0},
@@ -72,15 +71,15 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
 
 
 def sampled_with(axis: Axis, period: float) -> Axis:
-    """``axis`` with the ``period`` [s] of a record: itself where it has that already."""
+    """``axis`` with the sampling ``period`` [s] of a record."""
     return axis if axis.sampling.period == period else axis.replace(sampling={"period": period})
 
 
 def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
-    """The record with the voltage that acts, as :func:`acting_voltage` says, and the axis that goes with it.
+    """The record with the voltage of :func:`acting_voltage`, and the axis that belongs to it.
 
-    The supply of a duty and where the motor was switched off are in that voltage. A winding that is open brakes
-    nothing: what the axis then has too much of viscous friction the voltage gives back.
+    The voltage includes the supply of a duty and the motor switch. An open winding does not brake, so where the motor
+    is off the voltage compensates the braking that is part of the axis's viscous friction.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.machines import machine
@@ -90,19 +89,19 @@ def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
     [30, 0]
     """
     voltage, driven = acting_voltage(sampled_with(axis, record.period), record.u)
-    return replace(record, u=voltage * motor_share(axis, record) + given_back(axis, record)), driven
+    return replace(record, u=voltage * motor_share(axis, record) + back_emf_compensation(axis, record)), driven
 
 
 def motor_share(axis: Axis, record: Record) -> Any:
-    """Share (n,) of ``axis.drive.gain`` that acts at each sample of ``record``, or 1.0: its supply, off or on."""
+    """Share (n,) of ``axis.drive.gain`` at each sample of ``record``, from its supply and motor switch; else 1.0."""
     share: Any = 1.0
     if axis.drive.command == "duty" and record.supply is not None:
         share = axis.drive.force_gain * record.supply / axis.drive.gain
     return share if record.enable is None else share * (record.enable != 0.0)
 
 
-def given_back(axis: Axis, record: Record) -> np.ndarray:
-    """Command (n,) that drives as much as the back-EMF would brake, where the motor of ``record`` is off; else 0."""
+def back_emf_compensation(axis: Axis, record: Record) -> np.ndarray:
+    """Command (n,) that compensates the modelled back-EMF where the motor of ``record`` is off; else 0."""
     if record.enable is None or not axis.drive.braking:
         return np.zeros(len(record))
     v = np.gradient(record.q, record.period)
@@ -110,12 +109,12 @@ def given_back(axis: Axis, record: Record) -> np.ndarray:
 
 
 def motor_force(axis: Axis, record: Record) -> np.ndarray:
-    """Motor force (n,) [N] that the command of ``record`` asks for, before delays, lags and back-EMF."""
+    """Motor force (n,) [N] of the command of ``record``, without delays, lags and back-EMF."""
     return axis.drive.gain * motor_share(axis, record) * record.u
 
 
-def _delayed(u: np.ndarray, late: float) -> np.ndarray:
-    """Means over each period of the held signal ``u`` that arrives ``late`` periods later."""
+def _delay(u: np.ndarray, late: float) -> np.ndarray:
+    """Means (n,) over each period of the held signal ``u`` (n,) after a delay of ``late`` periods."""
     if late == 0.0:
         return u
     whole, share = int(late), late - int(late)
@@ -123,8 +122,8 @@ def _delayed(u: np.ndarray, late: float) -> np.ndarray:
     return (1.0 - share) * padded[1 : len(u) + 1] + share * padded[: len(u)]
 
 
-def _lagged(u: np.ndarray, constant: float) -> np.ndarray:
-    """Means over each period of the held ``u`` behind a first-order lag of ``constant`` periods, settled at u[0]."""
+def _lag(u: np.ndarray, constant: float) -> np.ndarray:
+    """Means (n,) over each period of the held ``u`` (n,) after a first-order lag of ``constant`` periods, from u[0]."""
     if constant <= 0.0:
         return u
     from scipy.signal import lfilter
@@ -135,27 +134,27 @@ def _lagged(u: np.ndarray, constant: float) -> np.ndarray:
 
 
 def added_force(q: float, v: float, tau: float) -> float:
-    """What effects add to the force [N] at position, velocity and motor force: nothing but by :func:`with_effects`."""
+    """Force [N] of effects at position, velocity and motor force: 0, unless :func:`with_effects` replaces it."""
     return 0.0
 
 
 def added_dry(q: float, v: float, tau: float) -> float:
-    """What they add to the level of dry friction [N]."""
+    """Dry friction [N] of effects, as :func:`added_force`."""
     return 0.0
 
 
 def added_inertia(q: float, v: float, tau: float) -> float:
-    """What they add to the mass [kg]."""
+    """Mass [kg] of effects, as :func:`added_force`."""
     return 0.0
 
 
 def position_before(k: int, q: float, memory: Any) -> float:
-    """Position [m] of the sample before, where the two periods meet."""
+    """Position [m] of the previous sample, at which the two periods meet."""
     return memory[Q] if k > 0 else q
 
 
 def force_observer(k: int, command: float, q: float, f_ext: float, limit: float, gains: Any, memory: Any) -> float:
-    """External force [N] as of the observer's delay ago; ``command`` is that of the period which ends at sample k."""
+    """External force [N], late by the observer's delay; ``command`` is that of the period that ends at sample k."""
     period = gains[PERIOD]
     before = position_before(k, q, memory)
     v = (q - before) / period
@@ -182,15 +181,15 @@ def force_observer(k: int, command: float, q: float, f_ext: float, limit: float,
 
 
 def with_effects(kernel: Any, added: Mapping[str, Callable[..., Any]]) -> Any:
-    """The observer's ``kernel`` with other functions of q, v and tau in place of those that add nothing, by name."""
+    """The observer's ``kernel`` with the functions ``added`` (name to function of q, v, tau) for those of effects."""
     return FunctionType(kernel.__code__, {**kernel.__globals__, **added}, kernel.__name__)
 
 
 def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY) -> np.ndarray:
     """W X of (19), shape (n,) [N]: the force that the axis and its effects need for ``motion``.
 
-    Effects without a regressor are left out, :func:`left_out` names them: the motion does not give their force.
-    ``motion.tau`` [N] is used by those of the actuator.
+    Effects without a regressor are left out, since the motion does not give their force; :func:`left_out` names them.
+    Actuator effects use ``motion.tau`` [N].
     """
     m = axis.mechanics
     sliding = np.where(np.abs(motion.v) > rest_velocity, np.sign(motion.v), 0.0)
@@ -199,7 +198,7 @@ def model_force(motion: Motion, axis: Axis, rest_velocity: float = REST_VELOCITY
 
 
 def effects_force(motion: Motion, axis: Axis) -> np.ndarray:
-    """What the effects of ``axis`` that have a regressor add to the force for ``motion``, shape (n,) [N].
+    """Force (n,) [N] of the effects of ``axis`` with a regressor for ``motion``.
 
     >>> from emps_design.machines import machine
     >>> asymmetric = machine("emps2018-two-quadrant")
@@ -207,21 +206,21 @@ def effects_force(motion: Motion, axis: Axis) -> np.ndarray:
     -44.44
     """
     force = np.zeros_like(motion.v)
-    for one in axis.effects:
-        effect = one.effect
+    for entry in axis.effects:
+        effect = entry.effect
         if effect.regressor is None:
             continue
-        shape = {name: one.parameters[name] for name in effect.shape}
-        force += effect.regressor(motion, shape, axis.mechanics.array()) @ effect.coefficients(one.parameters)
+        shape = {name: entry.parameters[name] for name in effect.shape}
+        force += effect.regressor(motion, shape, axis.mechanics.array()) @ effect.coefficients(entry.parameters)
     return force
 
 
 def observe_offline(
     motion: Motion, motor_force: np.ndarray, axis: Axis, rest_velocity: float = REST_VELOCITY
 ) -> np.ndarray:
-    """External force by (19), shape (n,) [N]; ``motion`` and ``motor_force`` (n,) [N] filtered alike, no delay.
+    """External force (n,) [N] by (19), without delay; ``motion`` and ``motor_force`` (n,) [N] have the same filter.
 
-    Below ``rest_velocity`` [m/s] there is no sign of the velocity.
+    Below ``rest_velocity`` [m/s] the sign of the velocity is 0.
 
     >>> from emps_design.machines import machine
     >>> still = Motion(*(np.zeros(3) for _ in range(5)), period=1e-3)
@@ -240,7 +239,7 @@ def left_out(axis: Axis) -> dict[str, tuple[str, ...]]:
     >>> left_out(machine("emps2019").replace(effects=[flexible]))["online"]
     ('flexible_coupling',)
     """
-    effects = [(one.kind, one.effect) for one in axis.effects]
+    effects = [(entry.kind, entry.effect) for entry in axis.effects]
     instant = {kind for kind, effect in effects if effect.rate is None}
     forces = {kind for kind, effect in effects if kind in instant and (effect.force or effect.dry)}
     masses = {kind for kind, effect in effects if kind in instant and effect.inertia}
@@ -271,21 +270,21 @@ def force_from_current(axis: Axis, current: np.ndarray) -> np.ndarray:
 
 
 class Resistance:
-    """What the axis and its effects without states oppose to motion, one sample at a time."""
+    """Resistance of the axis and its effects without states to motion, one sample at a time."""
 
     def __init__(self, axis: Axis, skipped: tuple[str, ...]):
         self._b = tuple(float(x) for x in axis.mechanics.array())
         self._kernels = {
             hook: [
-                (getattr(one.effect, hook), tuple(float(x) for x in one.effect.values(one.parameters)))
-                for one in axis.effects
-                if one.kind not in skipped and getattr(one.effect, hook)
+                (getattr(entry.effect, hook), tuple(float(x) for x in entry.effect.values(entry.parameters)))
+                for entry in axis.effects
+                if entry.kind not in skipped and getattr(entry.effect, hook)
             ]
             for hook in ADDED
         }
 
     def force(self, q: float, v: float, t: float, tau: float, rest_velocity: float) -> float:
-        """Viscous and dry friction, offset and effects [N]; ``tau`` [N] is the motor force of the moment."""
+        """Viscous and dry friction, offset and effects [N]; ``tau`` [N] is the present motor force."""
         _, viscous, level, offset = self._b
         sign = 0.0 if abs(v) <= rest_velocity else math.copysign(1.0, v)
         force, dry = (self.added(hook, q, v, t, tau) for hook in ("force", "dry"))
@@ -293,11 +292,11 @@ class Resistance:
 
     @property
     def hooks(self) -> tuple[str, ...]:
-        """To what the effects add something: ``force`` [N], ``dry`` friction [N], ``inertia`` [kg]."""
+        """The quantities to which effects contribute: ``force`` [N], ``dry`` friction [N], ``inertia`` [kg]."""
         return tuple(hook for hook, kernels in self._kernels.items() if kernels)
 
     def added(self, hook: str, q: float, v: float, t: float, tau: float) -> float:
-        """What the effects add to one of :attr:`hooks`."""
+        """Contribution of the effects to one of :attr:`hooks`."""
         total = 0.0
         for kernel, p in self._kernels[hook]:
             total += kernel(q, v, t, tau, (), p, self._b)
@@ -308,8 +307,8 @@ class ForceObserver:
     """On-line observer of the paper: (19) with a first-order low-pass, one sample at a time, inside a control loop.
 
     ``cutoff_hz`` [Hz] of the low-pass, which acts on velocity, current and friction alike: ``y += alpha (x - y)`` with
-    ``alpha = 1 - exp(-2 pi cutoff T)``. ``delay`` [s] is what a slow force arrives late by: one period, because the
-    second difference is centred there, and the filter's own ``(1 - alpha)/alpha`` periods.
+    ``alpha = 1 - exp(-2 pi cutoff T)``. ``delay`` [s] is that of a slow force: one period, since the second difference
+    is centred there, plus ``(1 - alpha)/alpha`` periods of the filter.
 
     >>> from emps_design.machines import machine
     >>> observer = ForceObserver(machine("emps2018"), cutoff_hz=20.0)
@@ -329,46 +328,46 @@ class ForceObserver:
         added = {f"added_{hook}": partial(self._added, resistance, hook) for hook in resistance.hooks}
         self.kernel = with_effects(force_observer, added)
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * period)
-        # The numbers of the difference equation, without what effects add.
+        # The gains of the difference equation without effects.
         self.gains = [period, axis.drive.gain, self._alpha, *axis.mechanics.array().tolist(), rest_velocity]
         self.reset()
 
     @property
     def delay(self) -> float:
-        """By how much a slow force arrives late [s]."""
+        """Delay [s] of the estimate of a slow force."""
         return self._period * (1.0 + (1.0 - self._alpha) / self._alpha)
 
     @property
     def rise_time(self) -> float:
-        """10 to 90 % of a step of force [s]."""
+        """Rise time [s] from 10 to 90 % of a step of force."""
         return -math.log(9.0) * self._period / math.log(1.0 - self._alpha)
 
     def reset(self) -> None:
-        """Forget the past: the next sample is taken as one of rest."""
+        """Reset the state: the next sample starts from rest."""
         self._samples, self._memory = 0, [0.0] * 4
 
     def step(self, q: float, u: float) -> float:
-        """Take the position ``q`` [m] of this sample and the voltage ``u`` [V] of the period that ends with it.
+        """Return the external force [N], late by ``delay``.
 
-        Returns the external force [N] as of ``delay`` ago.
+        ``q`` [m] is the position at this sample, ``u`` [V] the voltage of the period that ends with it.
         """
         self._samples += 1
         return self.kernel(self._samples - 1, u, q, 0.0, 0.0, self.gains, self._memory)
 
     def _added(self, resistance: Resistance, hook: str, q: float, v: float, tau: float) -> float:
-        """What the effects add at the sample before."""
+        """Contribution of the effects at the previous sample."""
         return resistance.added(hook, q, v, max(self._samples - 2, 0) * self._period, tau)
 
 
 class OnlineObserver(Protocol):
-    """What a loop calls: ``reset`` once, then ``step`` at every sample; its answer is ``delay`` late."""
+    """An observer in a loop: ``reset`` once, then ``step`` at every sample; its estimate is late by ``delay``."""
 
     @property
     def delay(self) -> float:
-        """By how much a slow force arrives late [s]."""
+        """Delay [s] of the estimate of a slow force."""
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Reset the state."""
 
     def step(self, q: float, u: float) -> float:
         """External force [N] from position ``q`` [m] and the voltage ``u`` [V] of the period that ends with it."""
@@ -377,10 +376,9 @@ class OnlineObserver(Protocol):
 def observe_online(
     observer: OnlineObserver, q: np.ndarray, u: np.ndarray, progress: Callable[[float], None] | None = None
 ) -> np.ndarray:
-    """Run ``observer`` over a record's ``q`` [m] and ``u`` [V], both (n,): the same numbers as in a loop, (n,) [N].
+    """Run ``observer`` over ``q`` (n,) [m] and ``u`` (n,) [V] of a record; returns the estimates (n,) [N] as in a loop.
 
-    ``u[k]`` is recorded at the sample from which it is held, so sample k is given ``u[k-1]``. ``progress`` hears the
-    share that is done, now and then.
+    ``u[k]`` is held from sample k on, so sample k uses ``u[k-1]``. ``progress`` is called with the share that is done.
 
     >>> from emps_design.machines import machine
     >>> observer = ForceObserver(machine("emps2018"))
@@ -408,7 +406,7 @@ REASONS = {
 
 @dataclass(frozen=True)
 class SmallestForce:
-    """The smallest force that can be seen: ``value`` [N], the ``bound`` that sets it, and all ``bounds`` [N]."""
+    """The smallest observable force ``value`` [N], the name of the ``bound`` that sets it, and all ``bounds`` [N]."""
 
     value: float
     bound: str
@@ -422,7 +420,7 @@ class SmallestForce:
 def smallest_observable_force(axis: Axis, noise: float, parameter: float) -> SmallestForce:
     """The largest of three bounds: break-away of a carriage at rest, ``noise`` and ``parameter`` errors [N].
 
-    Break-away is Coulomb friction and, where the axis has them, what its effects add to it at rest.
+    Break-away is the Coulomb friction plus the dry friction of effects at rest.
 
     >>> from emps_design.machines import machine
     >>> smallest_observable_force(machine("emps2018"), noise=3.0, parameter=4.0).to_dict()["bound"]
@@ -430,9 +428,9 @@ def smallest_observable_force(axis: Axis, noise: float, parameter: float) -> Sma
     """
     b = tuple(float(x) for x in axis.mechanics.array())
     dry = 0.0
-    for one in axis.effects:
-        if one.effect.dry is not None and one.effect.rate is None:
-            dry += one.effect.dry(0.0, 0.0, 0.0, 0.0, (), tuple(one.effect.values(one.parameters)), b)
+    for entry in axis.effects:
+        if entry.effect.dry is not None and entry.effect.rate is None:
+            dry += entry.effect.dry(0.0, 0.0, 0.0, 0.0, (), tuple(entry.effect.values(entry.parameters)), b)
     bounds = {"break_away": float(b[2] + dry), "noise": float(noise), "parameter": float(parameter)}
     bound = max(bounds, key=lambda name: bounds[name])
     return SmallestForce(bounds[bound], bound, bounds)

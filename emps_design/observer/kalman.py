@@ -1,4 +1,4 @@
-"""Kalman filter for the external force: position, velocity and a force that walks at random, from the encoder alone."""
+"""Kalman filter for the external force: position, velocity and a random-walk force, from the encoder position."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError
 from emps_design.observer.external_force import DEFAULT_CUTOFF_HZ, REST_VELOCITY, Resistance, left_out
 
-SLOWEST = 1e-4  # of the Nyquist frequency, from which on the response is looked at
+SLOWEST = 1e-4  # of the Nyquist frequency, lowest frequency at which the response is evaluated
 
 
 class KalmanForceObserver:
     """Kalman filter with the states position, velocity and external force; the force is a random walk.
 
-    Either ``bandwidth_hz`` [Hz], at which the estimate has fallen to half the power of the force, or ``force_rate``
-    [N/sqrt(s)], how fast the force is expected to change: larger is faster and noisier. ``position_noise`` [m]
-    defaults to that of the encoder's quantisation. The gain is the steady one.
+    Give either ``bandwidth_hz`` [Hz], at which the estimate has half the power of the force, or ``force_rate``
+    [N/sqrt(s)], the expected rate of change of the force: a larger one is faster and noisier. ``position_noise`` [m]
+    defaults to that of the encoder's quantisation. The gain is the steady-state one.
 
     >>> from emps_design.machines import machine
     >>> observer = KalmanForceObserver(machine("emps2018"), bandwidth_hz=20.0)
@@ -60,35 +60,35 @@ class KalmanForceObserver:
 
     @property
     def bandwidth_hz(self) -> float:
-        """Frequency at which the estimate has fallen to half of the power of the force [Hz]."""
+        """Frequency [Hz] at which the estimate has half the power of the force."""
         return self._design.bandwidth / (2.0 * math.pi)
 
     @property
     def delay(self) -> float:
-        """By how much a slow force arrives late [s]: the slope of the phase from force to estimate at low frequency.
+        """Delay [s] of the estimate of a slow force: the slope of the phase from force to estimate at low frequency.
 
-        ``response`` is that to a force held from t_k on, which is a force of half a period later.
+        ``response`` is that to a force held from t_k on, which lags by half a period.
         """
         w = 1e-2 * self._design.bandwidth
         return -float(np.angle(self.response(np.array([w]))[0])) / w - 0.5 * self._period
 
     @property
     def noise_std(self) -> float:
-        """Standard deviation that the encoder's noise gives the estimate [N]."""
+        """Standard deviation [N] of the estimate by the encoder's noise."""
         return self._design.noise_std
 
     def response(self, w: np.ndarray) -> np.ndarray:
-        """Transfer from external force, held over each period, to its estimate at ``w`` [rad/s], complex (n,)."""
+        """Response (n,) from external force, held over each period, to its estimate at ``w`` (n,) [rad/s]."""
         return self._design.response(np.asarray(w, dtype=float))
 
     def reset(self) -> None:
-        """Forget the past: the next sample is taken as one of rest."""
+        """Reset the state: the next sample starts from rest."""
         self._state, self._samples = (0.0, 0.0, 0.0), 0
 
     def step(self, q: float, u: float) -> float:
-        """Take the position ``q`` [m] of this sample and the voltage ``u`` [V] of the period that ends with it.
+        """Return the external force [N], late by ``delay``.
 
-        Returns the external force [N] as of ``delay`` ago.
+        ``q`` [m] is the position at this sample, ``u`` [V] the voltage of the period that ends with it.
         """
         if self._samples == 0:
             self._state = (q, 0.0, 0.0)
@@ -116,18 +116,18 @@ def kalman_trade_off(axis: Axis, bandwidths_hz: np.ndarray) -> dict[str, np.ndar
     >>> bool(table["delay"][1] < table["delay"][0]), bool(table["noise_std"][1] > table["noise_std"][0])
     (True, True)
     """
-    observers = [KalmanForceObserver(axis, bandwidth_hz=float(one)) for one in bandwidths_hz]
+    observers = [KalmanForceObserver(axis, bandwidth_hz=float(bandwidth)) for bandwidth in bandwidths_hz]
     return {
-        "bandwidth_hz": np.array([one.bandwidth_hz for one in observers]),
-        "force_rate": np.array([one.force_rate for one in observers]),
-        "delay": np.array([one.delay for one in observers]),
-        "noise_std": np.array([one.noise_std for one in observers]),
+        "bandwidth_hz": np.array([observer.bandwidth_hz for observer in observers]),
+        "force_rate": np.array([observer.force_rate for observer in observers]),
+        "delay": np.array([observer.delay for observer in observers]),
+        "noise_std": np.array([observer.noise_std for observer in observers]),
     }
 
 
 @dataclass(frozen=True)
 class _SteadyKalman:
-    """Steady gain of the correction for [q, v, d] over a period, computed in units in which all three are near 1."""
+    """Steady-state Kalman gain for [q, v, d] over a period, computed in units in which all three are near 1."""
 
     transition: np.ndarray
     push: np.ndarray
@@ -149,8 +149,8 @@ class _SteadyKalman:
         scale = np.array([noise, noise / T, m.mass * noise / T**2])
         scaled = a * scale / scale[:, None]
         walk = np.diag([0.0, 0.0, force_rate**2 * T / scale[2] ** 2])
-        seen = np.array([[1.0], [0.0], [0.0]])
-        p = solve_discrete_are(scaled.T, seen, walk, np.eye(1))
+        output = np.array([[1.0], [0.0], [0.0]])
+        p = solve_discrete_are(scaled.T, output, walk, np.eye(1))
         gain = p[:, 0] / (p[0, 0] + 1.0)
         return cls(a, push, gain * scale / noise, noise, T, scale)
 
@@ -168,10 +168,10 @@ class _SteadyKalman:
 
     def response(self, w: np.ndarray) -> np.ndarray:
         z = np.exp(1j * w * self.period)[:, None, None]
-        moved = np.linalg.solve(z * np.eye(2) - self.transition[:2, :2], self.push[:2, None])[:, 0, 0]
-        # The estimator sees q alone: x[k+1] = (I - K C) A x[k] + K q[k+1].
-        heard = self.gain[None, :, None] * z * moved[:, None, None]
-        return np.linalg.solve(z * np.eye(3) - self._closed, heard)[:, 2, 0]
+        motion = np.linalg.solve(z * np.eye(2) - self.transition[:2, :2], self.push[:2, None])[:, 0, 0]
+        # The estimator has q alone: x[k+1] = (I - K C) A x[k] + K q[k+1].
+        correction = self.gain[None, :, None] * z * motion[:, None, None]
+        return np.linalg.solve(z * np.eye(3) - self._closed, correction)[:, 2, 0]
 
     @property
     def bandwidth(self) -> float:

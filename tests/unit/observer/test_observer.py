@@ -18,7 +18,7 @@ from emps_design.observer import (
     observe_online,
     smallest_observable_force,
 )
-from emps_design.observer.external_force import _lagged
+from emps_design.observer.external_force import _lag
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from tests.unit.records.with_gaps import as_one, lost
@@ -341,4 +341,4 @@ def test_the_mean_of_a_lagging_command_over_each_period(constant):
     fine = np.linspace(0.0, 1.0, 2001)
     means = [np.trapezoid(1.0 - np.exp(-(k + fine) / constant), fine) for k in range(20)]
     step = np.concatenate([[0.0, 0.0], np.ones(20)])
-    np.testing.assert_allclose(_lagged(step, constant), [0.0, 0.0, *means], atol=1e-6)
+    np.testing.assert_allclose(_lag(step, constant), [0.0, 0.0, *means], atol=1e-6)
