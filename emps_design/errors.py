@@ -1,8 +1,8 @@
-"""What can go wrong, each with the exit status the command line gives it.
+"""The errors of this package, with their exit codes on the command line.
 
-Every error derives from :class:`EmpsError` and from the builtin a Python programmer would catch, so
-``except ValueError`` works for bad numbers and ``except EmpsError`` for everything this package refuses.
-A message is one line: what, found, expected with its unit, what to do.
+Every error derives from :class:`EmpsError` and from the usual builtin, so ``except ValueError`` catches bad numbers and
+``except EmpsError`` everything that this package refuses. A message is one line: what, found, expected with its unit,
+and a remedy.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 
 class EmpsError(Exception):
-    """Anything this package refuses; ``exit_code`` is the command's exit status.
+    """Base of all errors of this package; ``exit_code`` is the exit status of the command.
 
     >>> str(EmpsError("one\\nline, no \\x1b[31mtricks"))
     'one line, no ?[31mtricks'
@@ -25,7 +25,7 @@ class EmpsError(Exception):
 
 
 class InputError(EmpsError, ValueError):
-    """A number, name or combination that cannot be meant."""
+    """An invalid number, name or combination."""
 
     exit_code = 2
 
@@ -39,7 +39,7 @@ class AxisError(InputError):
 
 
 class RankError(InputError):
-    """A regression whose columns the data cannot tell apart; ``columns`` names them."""
+    """A regression whose ``columns`` (names) the data cannot separate."""
 
     def __init__(self, message: str, columns: tuple[str, ...] = ()):
         super().__init__(message)
@@ -47,7 +47,7 @@ class RankError(InputError):
 
 
 class SpecificationError(EmpsError, ValueError):
-    """A specification that no gains can meet; ``nearest`` holds the closest one that works."""
+    """A specification that no gains can meet; ``nearest`` is the closest one that works."""
 
     exit_code = 3
 
@@ -57,7 +57,7 @@ class SpecificationError(EmpsError, ValueError):
 
 
 class UnstableError(EmpsError, RuntimeError):
-    """A requested design whose loop is unstable; ``nearest`` holds the closest stable one."""
+    """A requested design with an unstable loop; ``nearest`` is the closest stable one."""
 
     exit_code = 4
 
@@ -67,7 +67,7 @@ class UnstableError(EmpsError, RuntimeError):
 
 
 class SimulationError(EmpsError, RuntimeError):
-    """A simulation that could not go on: when, in which state, and which effect was at work."""
+    """A simulation that failed, with its time [s], state and the effect concerned."""
 
     exit_code = 4
 
@@ -77,7 +77,7 @@ class SimulationError(EmpsError, RuntimeError):
 
 
 def one_line(text: object) -> str:
-    """Return ``text`` as one line of printable characters: names come from files, which may hold anything.
+    """Return ``text`` as one line of printable characters.
 
     >>> one_line("a name\\twith \\x1b[31mcolours \\udcff")
     'a name with ?[31mcolours ?'
@@ -86,15 +86,15 @@ def one_line(text: object) -> str:
 
 
 def printable(text: str) -> str:
-    """Return ``text`` with ``?`` for what is not seen: terminals obey it, and some of it no file can hold."""
+    """Return ``text`` with ``?`` for unprintable characters, which may be terminal commands or not encodable."""
     return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
-def nearest_name(found: str, known: list[str] | tuple[str, ...]) -> str:
-    """Return ``", did you mean 'x'?"`` for the closest known name, or an empty string.
+def nearest_name(name: str, known: list[str] | tuple[str, ...]) -> str:
+    """Return ``", did you mean 'x'?"`` for the known name closest to ``name``, "" for none.
 
     >>> nearest_name("viscuos", ["mass", "viscous"])
     ", did you mean 'viscous'?"
     """
-    close = get_close_matches(found, known, n=1)
+    close = get_close_matches(name, known, n=1)
     return f", did you mean '{close[0]}'?" if close else ""

@@ -1,4 +1,4 @@
-"""Files that are whole or absent: written aside, then renamed."""
+"""Files that are written completely or not at all: to a temporary file first, then renamed."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from emps_design.errors import EmpsError, InputError
 
 try:
     import fcntl
-except ImportError:  # a system without these locks cannot tell what was abandoned, and leaves it
+except ImportError:  # a system without these locks keeps abandoned files
     fcntl = None  # type: ignore[assignment]
 
-LONGEST_NAME = 100  # bytes that the file aside repeats of a name; file systems take 255 in all
-# What a disk refuses although the name was good.
+LONGEST_NAME = 100  # bytes of a name that the temporary file repeats; file systems allow 255 in all
+# Errors of a disk although the name is valid.
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-_unfinished: dict[Path, int] = {}  # what is being written aside, and the descriptor that locks it
+_unfinished: dict[Path, int] = {}  # temporary files of this process, and the descriptors that lock them
 
 
 def destination(path: str | Path) -> Path:
-    """Return the file that writing to ``path`` replaces: itself, or where a symbolic link leads in the end.
+    """Return the file that writing to ``path`` replaces: itself, or the target of a symbolic link.
 
-    Raises :class:`InputError` for what no file may replace (a folder, a device, a pipe, a file that is
-    write-protected), and where the folder does not exist or cannot be written.
+    Raises :class:`InputError` for a folder, a device, a pipe or a write-protected file, and where the folder does not
+    exist or cannot be written.
 
     >>> import os
     >>> destination(os.devnull)
@@ -64,12 +64,12 @@ def destination(path: str | Path) -> Path:
 
 @contextmanager
 def write_aside(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside ``path`` to write to, and rename it when the block ends well.
+    """Yield a temporary path beside ``path`` to write to, and rename it when the block succeeds.
 
-    A failure, an interrupt or a kill leaves neither a half-written file nor a changed old one. What a killed process
-    leaves aside, a hidden file that ends in ``.part``, goes with the next writing of ``path``. A file that is replaced
-    keeps its mode, a symbolic link its target's place. Raises :class:`InputError` for what :func:`destination`
-    refuses, and :class:`EmpsError` where the disk is full.
+    A failure, an interrupt or a kill leaves neither a half-written file nor a changed old one. The temporary file of a
+    killed process, hidden and ending in ``.part``, is removed when ``path`` is written again. A replaced file keeps its
+    mode; a symbolic link stays one. Raises :class:`InputError` as :func:`destination` does, and :class:`EmpsError`
+    where the disk is full.
 
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
@@ -79,17 +79,17 @@ def write_aside(path: str | Path) -> Iterator[Path]:
     ['note.txt']
     """
     target = destination(path)
-    with _aside(path, target, _new_file) as aside, _told(path):
+    with _aside(path, target, _new_file) as aside, _report_disk_error(path):
         yield aside
         _put(aside, target)
 
 
 @contextmanager
 def write_together(folder: str | Path) -> Iterator[Path]:
-    """Give a temporary folder inside ``folder``; when the block ends well its files take their places, one by one.
+    """Yield a temporary folder inside ``folder``; when the block succeeds its files are renamed into place, one by one.
 
-    What belongs together is there together: a failure, an interrupt or a kill before that changes nothing. Raises
-    :class:`InputError` when ``folder`` does not exist or cannot be written, or one of its files cannot be replaced.
+    A failure, an interrupt or a kill before that changes nothing. Raises :class:`InputError` where ``folder`` does not
+    exist or cannot be written, or one of its files cannot be replaced.
 
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
@@ -102,21 +102,21 @@ def write_together(folder: str | Path) -> Iterator[Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(f"{folder}: is not a folder; make it first")
-    with _aside(folder, folder / folder.resolve().name, _new_folder) as aside, _told(folder):
+    with _aside(folder, folder / folder.resolve().name, _new_folder) as aside, _report_disk_error(folder):
         yield aside
         places = {whole: destination(folder / whole.name) for whole in sorted(aside.iterdir())}
         try:
             _put_all(places)
-        except KeyboardInterrupt:  # half of a set is no set: the few renames that are left come first
+        except KeyboardInterrupt:  # finish the remaining renames first, so that the set is complete
             _put_all(places)
             raise
 
 
 def read_bytes(path: str | Path, most: int, expected: str) -> bytes:
-    """Return the content of an ordinary file of at most ``most`` bytes; nothing larger is ever in memory.
+    """Return the content of an ordinary file of at most ``most`` bytes; no more are ever in memory.
 
-    Raises :class:`InputError` in one line that ends in what was ``expected``: for what cannot be read, for what is too
-    large, and for devices and pipes, which have no end or none yet.
+    Raises :class:`InputError`, one line that ends with ``expected``, for a file that cannot be read or is too large,
+    and for devices and pipes.
     """
     try:
         with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
@@ -133,13 +133,13 @@ def read_bytes(path: str | Path, most: int, expected: str) -> bytes:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write ``text`` to ``path`` as UTF-8, whole or not at all."""
+    """Write ``text`` to ``path`` as UTF-8, completely or not at all."""
     with write_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
 
 def discard_unfinished() -> None:
-    """Remove what this process has written aside and not renamed yet: for an end that unwinds nothing."""
+    """Remove the temporary files of this process, for an exit that does not unwind the stack."""
     for aside in tuple(_unfinished):
         _remove(aside)
 
@@ -150,8 +150,8 @@ def _what(mode: int) -> str:
 
 
 @contextmanager
-def _told(path: str | Path) -> Iterator[None]:
-    """Say in one line which file the disk did not take."""
+def _report_disk_error(path: str | Path) -> Iterator[None]:
+    """Turn a disk error into an :class:`EmpsError` of one line that names ``path``."""
     try:
         yield
     except OSError as error:
@@ -162,11 +162,11 @@ def _told(path: str | Path) -> Iterator[None]:
 
 @contextmanager
 def _aside(path: str | Path, target: Path, new: Callable[[Path, str], Path]) -> Iterator[Path]:
-    """A locked temporary file or folder beside ``target``, removed in the end; ``path`` is what messages call it."""
+    """A locked temporary file or folder beside ``target``, removed at the end; messages name ``path``."""
     start = _start(target.name)
     _remove_abandoned(target.parent, start)
     try:
-        aside = _locked(target.parent, f"{start}{platform.node()[:40]}.{os.getpid()}.", new)
+        aside = _make_locked(target.parent, f"{start}{platform.node()[:40]}.{os.getpid()}.", new)
     except OSError as error:
         raise InputError(f"{path}: cannot write there, {error.strerror}") from error
     try:
@@ -177,7 +177,7 @@ def _aside(path: str | Path, target: Path, new: Callable[[Path, str], Path]) -> 
 
 
 def _start(name: str) -> str:
-    """How the names of what is written aside for a file called ``name`` start; machine and process number follow."""
+    """Start of the names of temporary files for a file called ``name``; host name and process id follow."""
     long = len(os.fsencode(name)) > LONGEST_NAME
     return f".{hashlib.sha256(os.fsencode(name)).hexdigest()[:32] if long else name}."
 
@@ -192,15 +192,15 @@ def _new_folder(folder: Path, start: str) -> Path:
     return Path(tempfile.mkdtemp(dir=folder, prefix=start, suffix=".part"))
 
 
-def _locked(folder: Path, start: str, new: Callable[[Path, str], Path]) -> Path:
-    """Make one with ``new`` and lock it for as long as this process lives; a kill unlocks it."""
+def _make_locked(folder: Path, start: str, new: Callable[[Path, str], Path]) -> Path:
+    """Create a temporary file or folder with ``new`` and lock it until it is closed or this process ends."""
     while True:
         aside = new(folder, start)
-        # Another process may take it for abandoned, and remove it, in the instant before it is locked.
+        # Before it is locked another process may remove it as abandoned.
         with suppress(FileNotFoundError):
             handle = os.open(aside, os.O_RDONLY)
             if fcntl is not None:
-                with suppress(OSError):  # a file system without these locks: nothing there counts as abandoned
+                with suppress(OSError):  # on a file system without locks nothing is removed as abandoned
                     fcntl.flock(handle, fcntl.LOCK_EX)
             if aside.exists():
                 _unfinished[aside] = handle
@@ -209,36 +209,36 @@ def _locked(folder: Path, start: str, new: Callable[[Path, str], Path]) -> Path:
 
 
 def _remove_abandoned(folder: Path, start: str) -> None:
-    """Remove what processes that are no more have left in ``folder`` under names that begin with ``start``."""
+    """Remove the temporary files of ended processes in ``folder`` whose names begin with ``start``."""
     ours = re.compile(re.escape(start) + r"(.*\.)?\d+\.[a-z0-9_]{8}\.part")
-    with suppress(OSError):  # a folder one may write to and not look into
+    with suppress(OSError):  # a folder without the right to list it
         for name in filter(ours.fullmatch, os.listdir(folder)):
             _remove_if_abandoned(folder / name)
 
 
-def _remove_if_abandoned(left: Path) -> None:
-    """Remove ``left`` unless a living process holds its lock; with the lock held, so that none gets it meanwhile."""
+def _remove_if_abandoned(path: Path) -> None:
+    """Remove ``path`` unless a running process holds its lock; the lock is held meanwhile."""
     if fcntl is None:
         return
-    if left.is_symlink():  # never made here
-        _remove(left)
+    if path.is_symlink():  # never created here
+        _remove(path)
         return
     with suppress(OSError):  # of another user, gone by now, or in use
-        handle = os.open(left, os.O_RDONLY | os.O_NONBLOCK)
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _remove(left)
+            _remove(path)
         finally:
             os.close(handle)
 
 
-def _remove(left: Path) -> None:
-    """Remove a file, a link or a folder; one that cannot be removed keeps nobody from writing."""
-    if left.is_dir() and not left.is_symlink():
-        shutil.rmtree(left, ignore_errors=True)
+def _remove(path: Path) -> None:
+    """Remove a file, a link or a folder; errors are ignored."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
     else:
         with suppress(OSError):
-            left.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
 
 
 def _put_all(places: dict[Path, Path]) -> None:
@@ -248,7 +248,7 @@ def _put_all(places: dict[Path, Path]) -> None:
 
 
 def _put(aside: Path, target: Path) -> None:
-    """Let ``aside`` take the place of ``target`` and its mode, when it is on the disk."""
+    """Flush ``aside`` to the disk and rename it to ``target``, with the mode of that."""
     handle = os.open(aside, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -260,7 +260,7 @@ def _put(aside: Path, target: Path) -> None:
         os.chmod(aside, 0o666 & ~_umask())
     else:
         if hasattr(os, "chown"):
-            with suppress(OSError):  # only root gives files away
+            with suppress(OSError):  # only root may change the owner
                 os.chown(aside, old.st_uid, old.st_gid)
         os.chmod(aside, old.st_mode & 0o777)
     try:

@@ -1,6 +1,6 @@
-"""An axis and its effects as formulas: force that a motion needs, friction at steady speed, symbols.
+"""The model of an axis with its effects: force for a motion, friction at steady speed, symbolic formula.
 
-Everything is evaluated from the kernels of the effects, so whatever an effect's file says holds here too. Sign:
+All forces come from the kernels of the effects. Sign:
 ``tau = M qdd + F_v qd + F_c sign(qd) + offset + sum of the effects``, equation (2) of the paper without external force.
 """
 
@@ -29,16 +29,16 @@ _GRID = 20001  # points of the table that inverts a static actuator map
 
 
 def _resolve(axis: Axis, channel: str) -> Resolved:
-    own = [(one.effect, one.effect.values(one.parameters)) for one in axis.effects]
+    own = [(effect.effect, effect.effect.values(effect.parameters)) for effect in axis.effects]
     return [(effect, p) for effect, p in own if effect.channel == channel]
 
 
 def plant_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Force [N] (n,) that must act on the carriage for the motion ``q`` [m], ``v`` [m/s], ``a`` [m/s^2] at ``t`` [s].
 
-    ``q`` is where the carriage is, not what an encoder with an error reports. Own states of effects (a load behind a
-    coupling, a bristle) start at rest and follow the motion. At rest the friction is taken as zero. A force that
-    depends on the motor force (load-dependent friction) is solved by repetition.
+    ``q`` is the true position, without encoder errors. States of effects (a load behind a coupling, a bristle) start at
+    rest and follow the motion. At rest the friction is taken as zero. A force that depends on the motor force
+    (load-dependent friction) is solved by iteration.
     Raises :class:`InputError` for arrays of different length.
 
     >>> from emps_design.machines import machine
@@ -72,10 +72,10 @@ def plant_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np.n
 
 
 def inverse_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Motor force G_tau u [N] (n,) that makes the motion: :func:`plant_force` seen through the actuator's effects.
+    """Motor force G_tau u [N] (n,) for the motion: :func:`plant_force` with the inverse of the actuator's effects.
 
-    A lag is undone with the rate of the force, a delay by looking ahead, a static map by its smallest voltage; what
-    no voltage reaches (beyond a saturation) is given as the nearest that acts.
+    A lag is inverted with the rate of the force, a delay by a time shift, a static map by its smallest voltage; a force
+    that no voltage reaches (beyond a saturation) gives the nearest voltage that acts.
 
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2019").replace(effects=[{"kind": "actuator_deadzone", "width": 0.2}])
@@ -95,7 +95,7 @@ def inverse_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np
         elif effect.delay is not None and t.size > 1:
             force = np.interp(t + effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b), t, force)
         elif effect.regressor is not None and t.size > 1:
-            parameters = dict(zip([one.name for one in effect.parameters], map(float, p), strict=True))
+            parameters = dict(zip([parameter.name for parameter in effect.parameters], map(float, p), strict=True))
             motion = Motion(t, q, v, a, force, float(t[1] - t[0]), force_gain=gain)
             shape = {name: parameters[name] for name in effect.shape}
             force = force + effect.regressor(motion, shape, b) @ effect.coefficients(parameters)
@@ -103,21 +103,21 @@ def inverse_force(axis: Axis, q: np.ndarray, v: np.ndarray, a: np.ndarray, t: np
 
 
 def _undo(actuator: Kernel, p: np.ndarray, acting: np.ndarray) -> np.ndarray:
-    """The smallest voltages that a static actuator map turns into ``acting`` (n,) [V]."""
+    """The smallest voltages (n,) [V] that a static actuator map converts to ``acting`` (n,) [V]."""
     reach = 2.0 * float(np.abs(acting).max(initial=0.0)) + 2.0 * float(np.abs(p).max(initial=0.0)) + 1.0
-    asked = np.linspace(-reach, reach, _GRID)
-    given = np.array([actuator(u, p) for u in asked])
-    order = np.lexsort((np.abs(asked), given))
-    first = np.concatenate(([True], np.diff(given[order]) > 0))
-    return np.interp(acting, given[order][first], asked[order][first])
+    voltages = np.linspace(-reach, reach, _GRID)
+    outputs = np.array([actuator(u, p) for u in voltages])
+    order = np.lexsort((np.abs(voltages), outputs))
+    first = np.concatenate(([True], np.diff(outputs[order]) > 0))
+    return np.interp(acting, outputs[order][first], voltages[order][first])
 
 
 def states_along(
     effect: Effect, p: np.ndarray, b: np.ndarray, effects: Resolved, q: np.ndarray, v: np.ndarray, t: np.ndarray
 ) -> np.ndarray:
-    """Own states of ``effect`` (n, n_states) while the carriage follows ``q`` [m], ``v`` [m/s] over ``t`` [s].
+    """States (n, n_states) of ``effect`` while the carriage follows ``q`` [m], ``v`` [m/s] over ``t`` [s].
 
-    They start at rest; ``effects`` are those whose dry friction adds to the Coulomb level of the moment.
+    They start at rest; the dry friction of ``effects`` adds to the present Coulomb level.
     """
     change, initial = effect.rate, effect.initial
     if change is None or initial is None:
@@ -132,14 +132,14 @@ def states_along(
     times, places, speeds = t.tolist(), path.c.T.tolist(), path.derivative().c.T.tolist()
 
     def rate(now: float, x: np.ndarray) -> np.ndarray:
-        # The spline at one time, in plain numbers: calling it for each took most of the time of all this.
+        # The spline at one time in plain numbers, much faster than a call of the spline.
         k = min(max(bisect_right(times, now) - 1, 0), len(times) - 2)
         s, dx = now - times[k], np.zeros(start.size)
         cubic, square, slope, place = places[k]
         here = place + slope * s + square * (s * s) + cubic * (s * s * s)
         square, slope, speed = speeds[k]
         there = speed + slope * s + square * (s * s)
-        dry = [one.dry(here, there, now, 0.0, (), values, b) for one, values in effects if one.dry is not None]
+        dry = [other.dry(here, there, now, 0.0, (), values, b) for other, values in effects if other.dry is not None]
         change(here, there, now, 0.0, x, p, b, max(0.0, b[COULOMB] + sum(dry)), dx)
         return dx
 
@@ -150,24 +150,24 @@ def states_along(
 
 
 def steady_friction(axis: Axis, v: np.ndarray, q: float = 0.0, t: float = 0.0) -> np.ndarray:
-    """Force [N] (n,) that keeps the carriage at the speeds ``v`` (n,) [m/s] when it passes ``q`` [m] at ``t`` [s].
+    """Force [N] (n,) for the steady speeds ``v`` (n,) [m/s] at ``q`` [m] and ``t`` [s]: the friction curve of Fig. 3.
 
-    The static friction curve of Fig. 3 with whatever effects the axis has. Effects with own states have settled: a
-    bristle carries the Coulomb level, a coupling nothing.
+    It includes the effects of the axis. Those with states are settled: a bristle has the Coulomb level, a coupling no
+    force.
 
     >>> from emps_design.machines import machine
     >>> steady_friction(machine("emps2018"), np.array([-0.1, 0.1])).round(4).tolist()
     [-64.8784, 64.8784]
     """
     v = np.atleast_1d(np.asarray(v, dtype=float))
-    settled = axis.replace(effects=[one for one in axis.effects if one.effect.rate is None])
+    settled = axis.replace(effects=[entry for entry in axis.effects if entry.effect.rate is None])
     still = np.zeros(v.size)
     return plant_force(settled, still + q, v, still, still + t)
 
 
 @dataclass(frozen=True)
 class Formula:
-    """The model in symbols: ``force`` = tau, ``values`` of its parameters, and equations of what stands beside it."""
+    """The symbolic model: ``force`` = tau, ``values`` of its parameters, and the equations of effects ``beside`` it."""
 
     force: sympy.Expr
     values: dict[sympy.Symbol, float]
@@ -175,7 +175,7 @@ class Formula:
     beside: tuple[tuple[str, str], ...] = ()
 
     def latex(self) -> str:
-        r"""The equation of the force, and one line for every effect that is not part of it, as LaTeX without dollars.
+        r"""LaTeX, without dollars, of the equation of the force, and a line for every effect that is not part of it.
 
         >>> from emps_design.machines import machine
         >>> print(formula(machine("emps2018")).latex())
@@ -188,10 +188,10 @@ class Formula:
 
 
 def formula(axis: Axis) -> Formula:
-    """Write the inverse dynamic model of ``axis`` in SymPy, its plant's effects included where they have a closed form.
+    """Return the inverse dynamic model of ``axis`` in SymPy, with the plant's effects that have a closed form.
 
-    Effects of actuator, sensor and controller, and those with own states, stand beside it with their equation.
-    Symbols that two effects share get the number of the effect.
+    Effects of actuator, sensor and controller, and those with states, are listed beside it with their equations. A
+    symbol that two effects share gets the number of the effect.
     """
     import sympy
 
@@ -201,11 +201,11 @@ def formula(axis: Axis) -> Formula:
         sympy.Symbol(r"\mathrm{offset}", real=True)
     ]
     values = dict(zip(b, map(float, axis.mechanics.array()), strict=True))
-    free = any(one.effect.takes_dry for one in axis.effects)
+    free = any(entry.effect.takes_dry for entry in axis.effects)
     dry = 0 if free else b[COULOMB] * sympy.sign(motion["v"])
     force, beside = b[MASS] * motion["a"] + b[VISCOUS] * motion["v"] + dry + b[OFFSET], []
-    for number, one in enumerate(axis.effects, start=1):
-        effect = one.effect
+    for number, entry in enumerate(axis.effects, start=1):
+        effect = entry.effect
         if effect.channel != "plant" or effect.expression is None:
             beside.append((effect.name, effect.equation))
             continue
@@ -213,7 +213,7 @@ def formula(axis: Axis) -> Formula:
         for parameter in effect.parameters:
             name = parameter.symbol if parameter.symbol not in taken else f"{{{parameter.symbol}}}_{{({number})}}"
             symbols[parameter.name] = sympy.Symbol(name, real=True)
-            values[symbols[parameter.name]] = one.parameters[parameter.name]
+            values[symbols[parameter.name]] = entry.parameters[parameter.name]
         term = effect.expression(motion["q"], motion["v"], motion["t"], motion["tau"], symbols, b)
         is_mass = effect.force is None and effect.dry is None
         force += term * motion["a"] if is_mass else term

@@ -1,4 +1,4 @@
-"""Tables of results as a notebook shows them: what ``_repr_html_`` of a result returns."""
+"""HTML tables of results for notebooks, as ``_repr_html_`` returns them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def table(title: str, rows: Iterable[Sequence[Any]], heads: Sequence[str] = (), missing: str = "—") -> str:
-    """Return ``title`` and ``rows`` as HTML; numbers with five digits, None as ``missing``, words escaped.
+    """Return ``title`` and ``rows`` as HTML; numbers with five digits, None as ``missing``, text escaped.
 
     >>> table("small", [("mass", 10.0, "kg"), ("limit", None, "V")])
     '<p>small</p><table><tr><td>mass</td><td>10</td><td>kg</td></tr><tr><td>limit</td><td>—</td><td>V</td></tr></table>'

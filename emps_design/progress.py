@@ -1,4 +1,4 @@
-"""How far long work is: it tells a stage in words and the share that is done."""
+"""Progress of long computations: the stage in words and the share that is done, 0 to 1."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ Progress = Callable[[str, float], None]
 
 
 def untold(stage: str, share: float) -> None:
-    """Nobody hears how far it is."""
+    """Report nothing."""
 
 
 def of_part(progress: Progress, begin: float, share: float) -> Progress:
-    """Tell ``progress`` of a part that is ``share`` of the work, after ``begin`` of it.
+    """Return a function that reports a part of the work, from ``begin`` on and with ``share`` of it, to ``progress``.
 
     >>> of_part(lambda stage, done: print(stage, done), 0.5, 0.4)("fitting", 0.25)
     fitting 0.6

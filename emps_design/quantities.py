@@ -1,4 +1,4 @@
-"""A physical quantity: its name, its symbol, its SI unit, and between which bounds it makes sense."""
+"""Physical quantities: name, symbol, SI unit and bounds; reading and rounding of numbers."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from emps_design.errors import InputError
 
-# What one axis with a motor can have, by unit: the smallest that is not nothing, and the largest. Generous by decades
-# on either side of the smallest and the largest machine; beyond is a mistaken unit, or a number to break things with.
+# Smallest positive and largest magnitude by unit, decades beyond the smallest and the largest machine: a number outside
+# has a wrong unit.
 LIMITS: dict[str, tuple[float, float]] = {
     "kg": (1e-9, 1e7),
     "N": (1e-9, 1e8),
@@ -39,13 +39,13 @@ LIMITS: dict[str, tuple[float, float]] = {
     "": (0.0, 1e6),
 }
 ANY_OTHER = (1e-15, 1e15)
-PEOPLE = ("Stribeck", "Maxwell")  # whose capital a label keeps
+PEOPLE = ("Stribeck", "Maxwell")  # names that keep their capital
 
 
 def check_magnitude(name: str, value: float, unit: str, positive: bool = False) -> float:
-    """Return ``value`` [``unit``], or raise :class:`InputError` where no such machine exists.
+    """Return ``value`` [``unit``], or raise :class:`InputError` beyond the magnitudes of :data:`LIMITS`.
 
-    Only what has to be ``positive`` can be too small: 1e-20 N of friction is none. What is not finite is for others.
+    Only a ``positive`` quantity can be too small: 1e-20 N of friction is none. Infinite values and NaN are not checked.
 
     >>> check_magnitude("mass", 95.1, "kg", positive=True)
     95.1
@@ -92,14 +92,14 @@ class Quantity:
         return check_magnitude(self.name, number, self.unit)
 
 
-# what a frequency may be given in -> rad/s
+# unit of a frequency -> rad/s
 _FREQUENCIES = {"": 1.0, "rad/s": 1.0, "1/s": 1.0, "hz": 2.0 * math.pi, "khz": 2000.0 * math.pi}
 
 
 def read_frequency(text: str | float, unit: str = "rad/s") -> float:
-    """Return a frequency as someone writes it, in ``unit`` ("rad/s" or "Hz"), which is also what a bare number means.
+    """Return the frequency in ``text`` in ``unit`` ("rad/s" or "Hz"), which is also the unit of a bare number.
 
-    Raises :class:`InputError` for anything else; whether the number makes sense is for others to say.
+    Raises :class:`InputError` for any other text; the number itself is not checked.
 
     >>> round(read_frequency("30Hz"), 4), read_frequency("188.5"), read_frequency("188.5 rad/s")
     (188.4956, 188.5, 188.5)
@@ -108,18 +108,18 @@ def read_frequency(text: str | float, unit: str = "rad/s") -> float:
     """
     written = str(text).strip()
     match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*([a-zA-Z/1]*)", written)
-    given = (match[2].lower() or unit.lower()) if match else "?"
-    if match is None or given not in _FREQUENCIES:
+    written_unit = (match[2].lower() or unit.lower()) if match else "?"
+    if match is None or written_unit not in _FREQUENCIES:
         raise InputError(f"frequency: found {written!r}, expected a number of {unit}, or such as 30Hz")
-    if given == unit.lower():
+    if written_unit == unit.lower():
         return float(match[1])
-    return float(match[1]) * _FREQUENCIES[given] / _FREQUENCIES[unit.lower()]
+    return float(match[1]) * _FREQUENCIES[written_unit] / _FREQUENCIES[unit.lower()]
 
 
 def read_ratio(text: str | float) -> float:
-    """Return a positive ratio as someone writes it: a bare number, or decibels such as 6dB.
+    """Return the positive ratio in ``text``: a bare number, or decibels such as 6dB.
 
-    Raises :class:`InputError` for anything else.
+    Raises :class:`InputError` for any other text.
 
     >>> read_ratio("2"), round(read_ratio("6dB"), 4)
     (2.0, 1.9953)
@@ -144,7 +144,7 @@ _SMALL = {
 
 
 def display_unit(size: float, unit: str) -> tuple[str, float]:
-    """Return the unit in which ``size`` [``unit``] is shown to a reader, and the factor to it.
+    """Return the unit in which ``size`` [``unit``] is displayed, and the factor to it.
 
     >>> display_unit(5e-8, "m"), display_unit(0.25, "m"), display_unit(12.0, "N")
     (('nm', 1000000000.0), ('mm', 1000.0), ('N', 1.0))
@@ -156,7 +156,7 @@ def display_unit(size: float, unit: str) -> tuple[str, float]:
 
 
 def share_asked(share: float, std: float) -> str:
-    """How much of an effect a record asks for, to a hundredth: no deviation is said to be none.
+    """The share of an effect that a record asks for, to a hundredth; a deviation is shown as at least 0.01.
 
     >>> share_asked(0.974, 0.102), share_asked(1.003, 0.002)
     ('0.97 +- 0.10', '1.00 +- 0.01')
@@ -165,7 +165,7 @@ def share_asked(share: float, std: float) -> str:
 
 
 def rounded(value: float, places: int = 2) -> str:
-    """``value`` with so many decimals, or with as many digits where they would not show it.
+    """``value`` with ``places`` decimals, or with as many significant digits where these would not show it.
 
     >>> rounded(12.3456), rounded(0.4), rounded(0.00213), rounded(0.0)
     ('12.35', '0.40', '0.0021', '0.00')
@@ -175,7 +175,7 @@ def rounded(value: float, places: int = 2) -> str:
 
 
 def decimals(size: float, places: int = 4) -> int:
-    """How many decimals show a number of about ``size``: ``places``, and so many digits of one below 0.1.
+    """Decimals for a number of about ``size``: ``places``, or those of ``places`` significant digits below 0.1.
 
     >>> decimals(96.2), decimals(0.5), decimals(0.00025), decimals(0.0)
     (4, 4, 7, 4)
@@ -184,18 +184,18 @@ def decimals(size: float, places: int = 4) -> int:
 
 
 def one_two_five(ratio: float) -> float:
-    """The nearest of 1, 2 and 5 times a power of ten: a size by which other numbers stay round.
+    """The nearest of 1, 2 and 5 times a power of ten.
 
     >>> [one_two_five(ratio) for ratio in (0.82, 1.5, 0.0101, 26.0)]
     [1.0, 2.0, 0.01, 20.0]
     """
     power = 10.0 ** math.floor(math.log10(ratio))
-    nearest = min((1.0, 2.0, 5.0, 10.0), key=lambda one: abs(math.log(ratio / power / one)))
+    nearest = min((1.0, 2.0, 5.0, 10.0), key=lambda digit: abs(math.log(ratio / power / digit)))
     return float(f"{nearest * power:.12g}")
 
 
 def inside(label: str) -> str:
-    """``label`` as it stands inside a sentence: without its capital, unless that is a name's.
+    """``label`` for use inside a sentence: without its capital, unless it begins with a name.
 
     >>> inside("Position ripple"), inside("Stribeck friction"), inside("Back-EMF braking")
     ('position ripple', 'Stribeck friction', 'back-EMF braking')

@@ -1,6 +1,6 @@
-"""What the package knows by name, and what a user adds from a file: physical effects, control laws.
+"""Registry of the effects and laws of the package, and of those that a user adds from a file.
 
-A user's file is a plain import, its code runs. Named in the environment, it is there in every process.
+A user's file is imported, so its code runs. A file named in the environment variable is loaded in every process.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Registry(Generic[Entry]):
         return {**{_name(entry): entry for entry in self.own}, **self.added}
 
     def get(self, name: str) -> Entry:
-        """Return the entry called ``name``; :class:`AxisError` names the nearest one otherwise."""
+        """Return the entry called ``name``; raises :class:`AxisError` with the nearest name if unknown."""
         known = self.known()
         if name not in known:
             raise AxisError(
@@ -46,14 +46,14 @@ class Registry(Generic[Entry]):
         return known[name]
 
     def register(self, entry: Entry) -> Entry:
-        """Let a user's own entry take part in everything the package's take part in; returns it."""
+        """Add a user's ``entry``, with the same rights as those of the package, and return it."""
         if _name(entry) in map(_name, self.own):
             raise AxisError(f"{self.kind} {_name(entry)}: the package has one of that name, choose another")
         self.added[_name(entry)] = entry
         return entry
 
     def load_file(self, path: str | Path) -> Entry:
-        """Run the Python file at ``path``, register what it defines, return it; :class:`AxisError` names the file."""
+        """Run the Python file at ``path``, register the entry it defines and return it; raises :class:`AxisError`."""
         path, title = Path(path), self.kind.upper()
         expected = f"expected a Python file with {'an' if title[0] in 'AEIOU' else 'a'} {title}"
         if not path.is_file():
@@ -62,19 +62,19 @@ class Registry(Generic[Entry]):
         if spec is None or spec.loader is None:
             raise AxisError(f"{path}: found a name that does not end in .py, {expected}")
         module = importlib.util.module_from_spec(spec)
-        sys.modules[spec.name] = module  # kernels compiled by another process are found again by their module's name
+        sys.modules[spec.name] = module  # compiled kernels are cached by the name of their module
         try:
             spec.loader.exec_module(module)
-        except Exception as error:  # whatever a user's file may raise, with its name
+        except Exception as error:  # a user's file may raise anything
             raise AxisError(f"{path}: {type(error).__name__}: {error}") from error
-        found = getattr(module, title, None)
-        if not isinstance(found, self.entry):
+        definition = getattr(module, title, None)
+        if not isinstance(definition, self.entry):
             place = self.entry.__module__.rpartition(".")[0]
-            raise AxisError(f"{path}: found {title} = {found!r}, expected an {place}.{self.entry.__name__}")
-        return self.register(found)
+            raise AxisError(f"{path}: found {title} = {definition!r}, expected an {place}.{self.entry.__name__}")
+        return self.register(definition)
 
     def load_environment(self) -> None:
-        """Load every file that the environment variable names, separated as paths are."""
+        """Load every file in the environment variable, separated like a search path."""
         for path in filter(None, os.environ.get(self.variable, "").split(os.pathsep)):
             self.load_file(path)
 

@@ -1,4 +1,4 @@
-"""Where something holds: the stretches of a row of true and false."""
+"""Stretches of true values."""
 
 from __future__ import annotations
 

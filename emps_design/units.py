@@ -1,8 +1,8 @@
-"""Units: those a record may come in, and those of one axis, which the rest of the package need not know.
+"""Units of records and of one axis; the rest of the package is independent of them.
 
-Everything inside is SI, and is written down for a linear axis that is told a voltage: a mass in kg, a force in N, a
-position in m, a command in V. :class:`Units` says what these are on another axis: an inertia in kg m^2, a torque in
-N m, an angle in rad, a current in A.
+The package computes in SI, and names everything as for a linear axis with a voltage command: a mass in kg, a force in
+N, a position in m, a command in V. :class:`Units` translates to another axis: an inertia in kg m^2, a torque in N m, an
+angle in rad, a current in A.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from emps_design.errors import InputError
 from emps_design.quantities import check_magnitude, display_unit
 
 MOTIONS = ("linear", "rotary")
-TURN = 5.0  # rad of a rotary axis that stand for a metre of a linear one: 1.2 rad for 0.24 m
+TURN = 5.0  # rad of a rotary axis for a metre of a linear one: 1.2 rad for 0.24 m
 COMMANDS = {"voltage": "V", "current": "A", "torque": "N m", "force": "N", "duty": ""}  # and the unit of each
 COUNTS = "counts"  # of an encoder or a converter: only a scale says how much one is
 
@@ -34,7 +34,7 @@ _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.02
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEG, "rev": _REV}
 _SPEEDS = {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "m/min": 1.0 / 60.0, "mm/min": 1e-3 / 60.0}
 _TURNING = {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "rpm": _RPM, "rev/s": _REV}
-# What a column of a record may be in: SI of one unit of it, by motion.
+# Units of a record's columns and their factors to SI, by motion.
 _MECHANICAL = {
     "linear": {"position": _LENGTHS, "velocity": _SPEEDS, "force": _FORCES},
     "rotary": {"position": _ANGLES, "velocity": _TURNING, "force": _TORQUES},
@@ -73,7 +73,7 @@ _QUANTITY = re.compile(rf"(?<![\w.])({_NUMBER}(?:(?: \+- | ± | to |–|, | and 
 _BEFORE = r"(?<=[\])] )|(?<=unbounded )|(?<=per )|(?<=\bin )"
 _AFTER = re.compile(rf"(?:{_BEFORE}|(?<=, )(?={_UNIT}$)|^(?={_UNIT}(?:$| rms)))({_UNIT})")
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]")
-# Not prose: drawings, styles, code, what others wrote and what is quoted of them, tags, arguments and commands.
+# Not prose: drawings, styles, code, text of others and quotations, tags, arguments and commands.
 _CODE = re.compile(
     r"(<svg\b.*?</svg>|<style\b.*?</style>|<pre\b.*?</pre>|<code\b.*?</code>"
     r"|(?<!\w)'[^'\n]{1,80}'(?!\w)|<span translate=\"no\">.*?</span>|</?[a-z][^<>]*>"
@@ -83,7 +83,7 @@ _CODE = re.compile(
 
 
 def spelled(unit: str) -> str:
-    """Return a unit as this package writes it, whatever it is a unit of; one that is not known comes back as it is.
+    """Return ``unit`` in the spelling of this package; an unknown one unchanged.
 
     >>> spelled("µm"), spelled("Nm"), spelled("N.m"), spelled("°"), spelled("1/min"), spelled("r/min"), spelled("sec")
     ('um', 'N m', 'N m', 'deg', 'rpm', 'rpm', 's')
@@ -99,7 +99,7 @@ def spelled(unit: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Whether ``text`` is a unit of any column of a record, or says that there is none.
+    """Whether ``text`` is a unit of any column of a record, or a mark for no unit.
 
     >>> is_unit("r/min"), is_unit("Nm"), is_unit("-"), is_unit("Torque")
     (True, True, True, False)
@@ -109,7 +109,7 @@ def is_unit(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Units:
-    """The units of one axis: its ``motion``, the kind of its ``command``, and what that is counted in.
+    """The units of one axis, from its ``motion``, the kind of its ``command`` and its ``command_unit``.
 
     >>> joint = Units("rotary", "current", "A")
     >>> joint.unit("kg"), joint.unit("N/(m/s)"), joint.unit("V/(m/s)"), joint.unit("N/V"), joint.unit("(m/s)/N")
@@ -126,7 +126,7 @@ class Units:
 
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> Units:
-        """The units of the plain data of an axis, which may be wrong in any way.
+        """The units of the plain data of an axis, which may be invalid.
 
         >>> Units.of({"motion": "rotary", "drive": {"command": "current"}})
         Units(motion='rotary', command='current', command_unit='A')
@@ -143,22 +143,22 @@ class Units:
 
     @property
     def rotary(self) -> bool:
-        """Whether the axis turns."""
+        """Whether the axis is rotary."""
         return self.motion == "rotary"
 
     @property
     def plain(self) -> bool:
-        """Whether these are the units that everything is written in: linear, told a voltage in V."""
+        """Whether no translation is needed: a linear axis with a voltage command in V."""
         return not self.rotary and self.command == "voltage" and self.command_unit == "V"
 
     def unit(self, base: str) -> str:
-        """This axis's unit for ``base``, a unit of the linear axis that is told a voltage.
+        """This axis's unit for ``base``, a unit of the linear axis with a voltage command.
 
         ``volt`` is a voltage on every axis, and so is the V of a force gain where the command is a duty.
         """
         if self.plain:
             return base.replace("volt", "V")
-        if base in ("V", "N m/A"):  # the second is a motor's own, whatever it moves
+        if base in ("V", "N m/A"):  # the second is the motor's and independent of the axis
             return self.command_unit if base == "V" else base
         if self.command == "duty" and base == "N/V":
             base = "N/volt"
@@ -207,7 +207,7 @@ class Units:
         return table
 
     def label(self, text: str) -> str:
-        """``text`` in this axis's words, and what stands in brackets in its units: for axes of plots, titles, heads.
+        """``text`` in this axis's words, with units in brackets in its own: for plot axes, titles and headings.
 
         >>> Units(command="duty", command_unit="").label("voltage left to the limit [V]")  # a duty has no unit
         'duty left to the limit'
@@ -220,16 +220,16 @@ class Units:
         return self.words(text)
 
     def _leading(self, text: str) -> str:
-        """``text``, in which a unit may stand first, in this axis's unit."""
+        """``text`` with a unit at its start, if any, in this axis's unit."""
         return re.sub(rf"^({_UNIT})(?=$|[ ,])", lambda match: self._whole(match[1]), text)
 
     def _whole(self, base: str) -> str:
-        """The unit for ``base``, which may have a prefix that this axis's unit cannot take."""
+        """The unit for ``base``, with a prefix as a factor where this axis's unit cannot take it."""
         prefixed = base[:2] in _PREFIXED and base[1] == "V" and self.command_unit not in _TAKE_A_PREFIX
         return f"{_PREFIXED[base[:2]]:g} {self.command_unit}" if prefixed else self.unit(base)
 
     def text(self, text: str) -> str:
-        """``text`` as this axis's owner reads it: numbers with its units, and its words.
+        """``text`` in this axis's words, with numbers in its units.
 
         >>> Units("rotary", "current", "A").text("force error 1.20 N rms, below 12 mm/s; at most 10.0 V")
         'torque error 1.20 N m rms, below 0.69 deg/s; at most 10.0 A'
@@ -263,7 +263,7 @@ class Units:
         return f"{numbers} {unit}".rstrip() + rpm
 
     def read(self, base: str) -> tuple[str, float]:
-        """The unit in which a number of ``base``, which may have a prefix, is read on this axis, and the factor to it.
+        """The unit in which a number of ``base``, perhaps with a prefix, is displayed on this axis, and the factor.
 
         >>> Units("rotary").read("mm"), Units("rotary").read("N"), Units().read("mm")
         (('deg', 0.057295779513082325), ('N m', 1.0), ('mm', 1.0))
@@ -280,7 +280,7 @@ class Units:
         return check_magnitude(name, value, self.unit(base), positive)
 
     def display(self, size: float, base: str) -> tuple[str, float]:
-        """The unit in which ``size`` [SI of ``base``] is shown to a reader, and the factor to it.
+        """The unit in which ``size`` [SI of ``base``] is displayed, and the factor to it.
 
         >>> Units("rotary").display(0.5, "m"), Units("rotary").display(3e-6, "m"), Units().display(0.25, "m")
         (('deg', 57.29577951308232), ('µrad', 1000000.0), ('mm', 1000.0))
@@ -290,10 +290,9 @@ class Units:
         return display_unit(size, self.unit(base))
 
     def factor(self, unit: str, column: str, scale: float | None = None) -> float:
-        """SI (a command: the axis's command unit) of one ``unit`` of a ``column`` of a record, one of ``COLUMNS``.
+        """Factor from ``unit`` to SI, or for a command to its unit on this axis; ``column`` is one of ``COLUMNS``.
 
-        ``scale`` multiplies it; for counts it says what one is worth, and has to be given. Raises
-        :class:`InputError` for a unit of another kind.
+        ``scale`` multiplies it; counts need one. Raises :class:`InputError` for a unit of another quantity.
 
         >>> joint = Units("rotary", "current", "A")
         >>> joint.factor("mA", "command"), joint.factor("rpm", "velocity"), joint.factor("counts", "position", 1e-6)
@@ -320,7 +319,7 @@ class Units:
         raise InputError(f"{motion}{column}: found unit {unit!r}, expected {expected}")
 
     def command_in(self, unit: str) -> float | None:
-        """How many ``unit`` one unit of this axis's command is; None where nothing says so, as of % of rated.
+        """Factor from this axis's command unit to ``unit``; None where it is unknown, such as for % of rated.
 
         >>> Units(command="current", command_unit="mA").command_in("A"), Units(command="current").command_in("V")
         (0.001, None)
@@ -329,14 +328,14 @@ class Units:
         return family[self.command_unit] / family[unit] if {unit, self.command_unit} <= family.keys() else None
 
     def _known(self, column: str) -> dict[str, float]:
-        """The units that a ``column`` may be in, and how much of SI or of the command's unit one is."""
+        """The units of a ``column`` and their factors to SI, or to the command unit of the axis."""
         if column == "time":
             return _TIMES
         if column == "supply":
             return _VOLTAGES
         if column == "command":
             family = _ELECTRICAL[self.command]
-            if self.command_unit not in family:  # % of rated: nothing says of what
+            if self.command_unit not in family:  # % of an unknown rated value
                 return {self.command_unit: 1.0}
             return {name: factor / family[self.command_unit] for name, factor in family.items()}
         return _MECHANICAL[self.motion][column]
@@ -347,7 +346,7 @@ def _float(number: str) -> float:
 
 
 def _scaled(number: str, factor: float) -> str:
-    """A written ``number`` times ``factor``, with as many significant digits, two at least."""
+    """``number`` times ``factor`` as text, with the same number of significant digits, at least two."""
     digits = len(re.sub(r"e.*|[^\d]", "", number).lstrip("0"))
     value = _float(number) * factor
     text = f"{value:.{max(2, digits)}g}"
@@ -355,7 +354,7 @@ def _scaled(number: str, factor: float) -> str:
 
 
 def check_command_unit(command: str, unit: str) -> str:
-    """Return the ``unit`` in which a ``command`` is counted as it is spelled here, or raise :class:`InputError`.
+    """Return the spelling of a ``unit`` of ``command``, or raise :class:`InputError` for any other unit.
 
     >>> check_command_unit("torque", "Nm"), check_command_unit("current", "% of rated")
     ('N m', '% of rated')
