@@ -265,7 +265,7 @@ class Extra:
     bias: np.ndarray | float = 0.0
 
 
-def periodic_answer(signals: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
+def periodic_answer(signals: list[Signals], highest: float, report_progress: Progress) -> tuple[Answer, Extra]:
     """The answer at the excited lines of whole periods up to ``highest`` [Hz], averaged over all stretches."""
     for record in signals:
         if not record.repeats:
@@ -277,7 +277,7 @@ def periodic_answer(signals: list[Signals], highest: float, tell: Progress) -> t
         raise RecordError(f"found periods that differ ({every}), expected the same excitation in every record")
     stretches: list[Spectra] = []
     for i, record in enumerate(signals):
-        tell("spectra", i / len(signals))
+        report_progress("spectra", i / len(signals))
         stretches += spectra(record, highest)
     excited = np.all([stretch.excited for stretch in stretches], axis=0)
     if np.count_nonzero(excited) < 4:
@@ -293,11 +293,11 @@ def periodic_answer(signals: list[Signals], highest: float, tell: Progress) -> t
     return answer, Extra(len(stretches), periods, periods, ratio, scatter, distortion, _steps(stretches, excited))
 
 
-def stepped_answer(signals: list[Signals], highest: float, tell: Progress) -> tuple[Answer, Extra]:
+def stepped_answer(signals: list[Signals], highest: float, report_progress: Progress) -> tuple[Answer, Extra]:
     """The answer at the line of each step up to ``highest`` [Hz], averaged over the steps at the same line."""
     lines: dict[float, list[Spectra]] = {}
     for i, record in enumerate(signals):
-        tell("steps", i / len(signals))
+        report_progress("steps", i / len(signals))
         for step in record.steps:
             frequency = step.turns / (step.samples * record.period)
             if frequency <= highest:
@@ -356,7 +356,7 @@ def _mean(stretches: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.n
 
 
 def broadband_answer(
-    signals: list[Signals], method: str, low: float, highest: float, tell: Progress
+    signals: list[Signals], method: str, low: float, highest: float, report_progress: Progress
 ) -> tuple[Answer, Extra]:
     """The answer to an excitation that does not repeat, by ``method`` local-polynomial or welch."""
 
@@ -378,7 +378,7 @@ def broadband_answer(
         return answer, max(1, round(answer.freedom))
 
     take = spectra if method == "welch" else polynomial
-    by_length = _answers_by_length(signals, take, tell)
+    by_length = _answers_by_length(signals, take, report_progress)
     answers = [answer for _, answer, _ in by_length]
     biases = [_bias(answer, *answers[max(i - 1, 0) : i]) for i, answer in enumerate(answers)]
     at = _longest_that_keeps(answers, biases)
@@ -388,14 +388,16 @@ def broadband_answer(
     return answer, Extra(passes, count, count, _quotient_at(answer.frequency, ratio), bias=biases[at])
 
 
-def _answers_by_length(signals: list[Signals], take: Method, tell: Progress) -> list[tuple[int, Answer, int]]:
+def _answers_by_length(
+    signals: list[Signals], take: Method, report_progress: Progress
+) -> list[tuple[int, Answer, int]]:
     """Samples of a block, answer and number of blocks, for each block length that the records allow."""
     longest = max((stop - start for record in signals for start, stop in record.stretches), default=0)
     answers: list[tuple[int, Answer, int]] = []
     refused = None
     for i in range(LONGER + 1):
         samples = round(SHORTEST_BLOCK / signals[0].period) << i
-        tell("blocks of several lengths", i / (LONGER + 1))
+        report_progress("blocks of several lengths", i / (LONGER + 1))
         try:
             answers.append((samples, *take(signals, samples)))
         except RecordError as error:  # too short for any line, or too long for blocks to average

@@ -217,13 +217,13 @@ def estimate_response(
         several, instrument = [replace(record, excitation=record.u) for record in several], EXCITATION
     signals = [signals_of(_driven(record, axis), instrument) for record in several]
     method = _method(signals) if method == "auto" else method
-    tell = progress or untold
+    report_progress = progress or untold
     if method == "periodic":
-        answer, extra = periodic_answer(signals, highest, tell)
+        answer, extra = periodic_answer(signals, highest, report_progress)
     elif method == "stepped":
-        answer, extra = stepped_answer(signals, highest, tell)
+        answer, extra = stepped_answer(signals, highest, report_progress)
     else:
-        answer, extra = broadband_answer(signals, method, low, highest, tell)
+        answer, extra = broadband_answer(signals, method, low, highest, report_progress)
     return _estimate(several, signals, axis, answer, method, extra, low, highest)
 
 
