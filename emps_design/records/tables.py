@@ -304,9 +304,7 @@ def _header(numbered: Iterator[tuple[int, str]], source: str) -> tuple[_Header, 
         if rows and cells and number(cells[0]) is not None:
             return _Header(delimiter, rows), place, row
         if cells and cells[0]:
-            rows[cells[0]] = (
-                cells  # the last row of a key counts: the file's own Name comes before that of the channels
-            )
+            rows[cells[0]] = cells  # the file's own row Name comes before that of the channels, which counts
     raise RecordError(f"{source}: found a header and no samples")
 
 
