@@ -34,7 +34,7 @@ from emps_design.laws import law_of
 from emps_design.laws.estimators import estimator_response
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine
-from emps_design.progress import untold
+from emps_design.progress import no_progress
 from tests.unit.frequency_response.cases import exact, experiment, run
 
 AXES, SEED = 50, 9157  # bands and estimator were chosen on other axes, of the seeds 2026 and 7401
@@ -226,7 +226,7 @@ def retuned(seed):
         design = retune_on_response(response, model, crossover, phase)
     new = design.loop_axis.replace(effects=drive.effects)
     after = measured_on(new, design.loop_axis, seed + 1000, 200.0)
-    answer, _ = periodic_answer([signals_of(after)], 200.0, untold)
+    answer, _ = periodic_answer([signals_of(after)], 200.0, no_progress)
     w, L = 2.0 * np.pi * answer.frequency, 1.0 / answer.z[:, 1] - 1.0
     at = np.flatnonzero((np.abs(L[:-1]) >= 1.0) & (np.abs(L[1:]) < 1.0))
     share = np.log(np.abs(L[at])) / np.log(np.abs(L[at] / L[at + 1]))

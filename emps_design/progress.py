@@ -7,7 +7,7 @@ from collections.abc import Callable
 Progress = Callable[[str, float], None]
 
 
-def untold(stage: str, share: float) -> None:
+def no_progress(stage: str, share: float) -> None:
     """Report nothing."""
 
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from emps_design.advice import Advice, advise, advise_on_error
 from emps_design.errors import EmpsError, one_line, printable
-from emps_design.progress import Progress, untold
+from emps_design.progress import Progress, no_progress
 from emps_design.units import Units
 
 if TYPE_CHECKING:
@@ -264,7 +264,7 @@ def new_table(title: str, *headings: str, words: Collection[str] = (), whole: bo
 def progress_bar(show: bool = True) -> Iterator[Progress]:
     """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or one line per stage."""
     if not show:
-        yield untold
+        yield no_progress
     elif sys.stderr.isatty():
         from rich.console import Console
         from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn

@@ -34,7 +34,7 @@ from emps_design.discrepancy.unknown_force import KINDS, Kind, beside_kind, with
 from emps_design.effects import Effect
 from emps_design.effects.two_mass import has_play
 from emps_design.errors import SimulationError
-from emps_design.progress import Progress, untold
+from emps_design.progress import Progress, no_progress
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 A_FEW = len(BEAM)  # effects after which the search goes on from one set only
@@ -442,12 +442,12 @@ def _begun_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     first = calibration.preparation
     library = tuple(effect for effect in first.library if not effect.general and not effect.element)
     preparation = replace(first, start=start, library=library)
-    return begun(calibrate(preparation, start, calibration.floor, 0, 0, untold), untold, rules.CREDIBLE)
+    return begun(calibrate(preparation, start, calibration.floor, 0, 0, no_progress), no_progress, rules.CREDIBLE)
 
 
 def _finished_beside(outcome: Outcome) -> Outcome:
     """The search beside an unknown force to its end: more effects than it takes pains with would stand in for it."""
-    return finished(outcome, untold, most=rules.CREDIBLE)
+    return finished(outcome, no_progress, most=rules.CREDIBLE)
 
 
 def _of_a_kind(calibration: Calibration, path: list[Fit], before: OfAKind | None) -> list[OfAKind]:

@@ -21,7 +21,7 @@ from emps_design.discrepancy.verdict import Validation, validate
 from emps_design.effects import Effect, known_effects
 from emps_design.errors import EmpsError, RecordError, SimulationError
 from emps_design.laws import NONE
-from emps_design.progress import Progress, of_part, untold
+from emps_design.progress import Progress, no_progress, of_part
 from emps_design.records import Record
 
 SEARCHES = ((0.0, 0.6), (0.6, 0.25), (0.85, 0.15))  # start and share of the progress; noise taken again in between
@@ -58,7 +58,7 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
-    report, hears = _forward(progress or untold), searched or (lambda model: None)
+    report, hears = _forward(progress or no_progress), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     library = tuple(known_effects().values() if library is None else library)
 

@@ -41,7 +41,7 @@ from emps_design.frequency_response.response import BAND, FrequencyResponse, Res
 from emps_design.frequency_response.signals import COMMAND, EXCITATION, REFERENCE, Signals, motion, signals_of
 from emps_design.laws import NONE
 from emps_design.observer import back_emf_compensation, motor_share
-from emps_design.progress import Progress, untold
+from emps_design.progress import Progress, no_progress
 from emps_design.records import Record
 from emps_design.records.clock import same_period
 
@@ -217,7 +217,7 @@ def estimate_response(
         several, instrument = [replace(record, excitation=record.u) for record in several], EXCITATION
     signals = [signals_of(_driven(record, axis), instrument) for record in several]
     method = _method(signals) if method == "auto" else method
-    report_progress = progress or untold
+    report_progress = progress or no_progress
     if method == "periodic":
         answer, extra = periodic_answer(signals, highest, report_progress)
     elif method == "stepped":

@@ -34,7 +34,7 @@ from emps_design.observer import (
     observe_online,
     smallest_observable_force,
 )
-from emps_design.progress import Progress, of_part, untold
+from emps_design.progress import Progress, no_progress, of_part
 from emps_design.records import Record
 
 NEAR_AN_EDGE = 0.1  # s, on both sides
@@ -252,7 +252,7 @@ def observe(
             "cut-offs"
         )
 
-    tell = progress or untold
+    tell = progress or no_progress
     tell("off-line observer", 0.0)
     filtered_motion = motion(record, offline_cutoff_hz)
     parameter = _parameter_bound(filtered_motion, axis, parameter_std)

@@ -14,7 +14,7 @@ from emps_design.axis import Axis
 from emps_design.errors import InputError, nearest_name
 from emps_design.laws import NONE, get_law
 from emps_design.machines import load_axis, machine_names
-from emps_design.progress import Progress, untold
+from emps_design.progress import Progress, no_progress
 from emps_design.report.design import DesignResults, design_page, design_results
 from emps_design.report.display import quantity
 from emps_design.report.page import Page, Section
@@ -139,7 +139,7 @@ def assemble_report(
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
     ('emps2018', 556.77)
     """
-    tell = progress or untold
+    tell = progress or no_progress
     if design_on not in (None, *DESIGN_ON):
         raise InputError(
             f"`design_on`: found {design_on!r}, expected {' or '.join(DESIGN_ON)}{nearest_name(design_on, DESIGN_ON)}"

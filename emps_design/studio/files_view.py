@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 from emps_design.errors import EmpsError
-from emps_design.progress import Progress, of_part, untold
+from emps_design.progress import Progress, no_progress, of_part
 from emps_design.report.page import inline
 from emps_design.studio.panes import Job, html, message
 from emps_design.studio.state import State
@@ -45,7 +45,7 @@ def velocity_design(state: State) -> VelocityLoopDesign:
     return design_velocity_loop(state.axis, **state.requested)
 
 
-def report_html(state: State, measured: Mapping[str, Any] | None = None, progress: Progress = untold) -> str:
+def report_html(state: State, measured: Mapping[str, Any] | None = None, progress: Progress = no_progress) -> str:
     """The page of ``report`` for ``state``, with the section on the record ``measured`` where one is loaded.
 
     ``measured`` has ``record``, ``record_axis`` and ``chain`` of :func:`~emps_design.report.assemble.assemble_report`.
@@ -70,7 +70,7 @@ def report_html(state: State, measured: Mapping[str, Any] | None = None, progres
     return report.page.html()
 
 
-def figures(state: State, progress: Progress = untold) -> dict[str, Figure]:
+def figures(state: State, progress: Progress = no_progress) -> dict[str, Figure]:
     """The pictures of ``state`` as matplotlib figures by name."""
     from emps_design.control.force import design_force_loop
     from emps_design.report.diagrams import velocity_and_force_loop_diagram
@@ -89,7 +89,7 @@ def figures(state: State, progress: Progress = untold) -> dict[str, Figure]:
     }
 
 
-def figures_zip(state: State, kind: str, progress: Progress = untold) -> bytes:
+def figures_zip(state: State, kind: str, progress: Progress = no_progress) -> bytes:
     """All pictures in one archive; ``kind`` is "svg" or "png"."""
     from emps_design.report import style
 

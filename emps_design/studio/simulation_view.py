@@ -13,7 +13,7 @@ import numpy as np
 import panel as pn
 
 from emps_design.laws.friction_model import left_out
-from emps_design.progress import Progress, of_part, untold
+from emps_design.progress import Progress, no_progress, of_part
 from emps_design.report.display import quantity
 from emps_design.report.page import inline
 from emps_design.report.style import labelled, svg
@@ -149,7 +149,7 @@ def simulate(state: State, progress: Progress | None = None) -> Simulated:
     from emps_design.control.impedance.law import FrictionModel, impedance_law
     from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
 
-    tell = progress or untold
+    tell = progress or no_progress
     axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3
     law = impedance_law(axis, state.mass, state.damping, state.filter)
     if state.task == "guided":

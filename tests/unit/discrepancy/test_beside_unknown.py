@@ -21,7 +21,7 @@ from emps_design.discrepancy.unknown_force import KINDS, beside_kind, beside_sta
 from emps_design.discrepancy.verdict import BesideUnknown, _fitted_around
 from emps_design.effects import Motion, get_effect
 from emps_design.machines import machine
-from emps_design.progress import untold
+from emps_design.progress import no_progress
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import trapezoid_laps
@@ -304,7 +304,7 @@ def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(mo
 
     monkeypatch.setattr(verdict, "finished", recorded)
     monkeypatch.setattr(verdict, "found_beside_kind", finds)
-    answer = explain(verdict.validate(stopped, untold))
+    answer = explain(verdict.validate(stopped, no_progress))
     assert bool(gone_on) is (confirmed in ("with nothing to name", ""))
     assert (answer.verdict, answer.findings) == ("unnamed", ())
     assert ("inertia" in answer.details["unexplained"]["kind"]) is bool(confirmed)

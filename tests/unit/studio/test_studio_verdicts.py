@@ -17,7 +17,7 @@ from emps_design.control.impedance.robustness import verdict
 from emps_design.control.impedance.sampled import Clock, extended_loop
 from emps_design.errors import EmpsError
 from emps_design.machines import machine
-from emps_design.progress import untold
+from emps_design.progress import no_progress
 from emps_design.report import Section
 from emps_design.report.display import sentence_of
 from emps_design.report.page import inline
@@ -62,7 +62,7 @@ def told(text: str) -> str:
 
 @pytest.mark.parametrize(("frequency", "kp", "clips"), [(20.0, 36.0, False), (12.0, 60.0, True)])
 def test_a_motion_under_an_unstable_cascade_is_stopped_whether_the_command_clips_or_not(frequency, kp, clips):
-    found = move(state(frequency=frequency, position_kp=kp), None, None, untold)
+    found = move(state(frequency=frequency, position_kp=kp), None, None, no_progress)
     assert not found.loop.stable
     assert (found.runs["this design"].to_dict()["saturated_share"] > 0.0) == clips
     level, text = found.verdict()
@@ -138,10 +138,10 @@ def test_a_gap_that_no_effect_explains_is_no_good_news(monkeypatch):
     ripple = {"kind": "position_ripple", "amplitude": 6.0, "phase": 0.7, "period": 0.005}
     record = synthetic_record(axis.replace(effects=[ripple]), laps=1)
     assert sought(record, axis, library=()).to_dict()["verdict"] == "unnamed"
-    found = diagnose_work(record, axis, {"sought": NAMED_MODEL}, untold)
+    found = diagnose_work(record, axis, {"sought": NAMED_MODEL}, no_progress)
     assert found["advice"].level == "caution"
     healthy = synthetic_record(axis, laps=4, stroke=0.06, speed=0.2)
-    assert diagnose_work(healthy, axis, {"sought": NAMED_MODEL}, untold)["advice"].level == "safe"
+    assert diagnose_work(healthy, axis, {"sought": NAMED_MODEL}, no_progress)["advice"].level == "safe"
 
 
 def test_a_wall_that_is_bounced_off_for_ever_stops_a_law_that_is_stable_in_the_air():
@@ -169,7 +169,7 @@ def test_the_worst_plant_is_drawn_the_way_round_that_its_verdict_is_of():
 def test_a_design_that_follows_less_closely_than_the_controller_in_place_is_no_good_news():
     now = State.of(machine("emps2019"))
     alone, ahead = (
-        move(now.changed(feedforward=one), None, None, untold) for one in ("none", "velocity and acceleration")
+        move(now.changed(feedforward=one), None, None, no_progress) for one in ("none", "velocity and acceleration")
     )
     for found, level in ((alone, "warning"), (ahead, "good")):
         errors = [run.to_dict()["tracking_error"] for run in found.runs.values()]
