@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -40,7 +40,6 @@ Doubt = Literal[
     "force-scale",
     "inertia-scale",
 ]
-DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 LONGEST_DELAY = 0.1  # s
 
 MAPPED, NAMED, RECOGNISED = "mapped", "named", "recognised"
@@ -226,7 +225,7 @@ def _mapped(name: str, column: Column, titles: Sequence[str], layout: Layout, so
     stated = "" if stated in LETTERS and not sure else stated
     unit = spelled(column.unit) if column.unit is not None else ""
     own = factor_of(stated, name, layout.units) is not None
-    foreign = sure and not own and column.scale is None and _is_other_quantity(stated, layout)
+    foreign = sure and not own and column.scale is None and stated in (*TAILS, *LETTERS, "%", layout.unit("u"))
     if unit and (own or foreign) and stated != unit and COUNTS not in (stated, unit):
         raise RecordError(
             f"{source}: column {title!r}: the title says {stated}, [record] {key} says {unit}; correct the axis file"
@@ -273,11 +272,6 @@ def _find(wanted: str, titles: Sequence[str], key: str, source: str) -> str:
         f"{source}: [record] {key}: found no column {wanted!r}{near}; found {listed(titles)}; is it the export of "
         "another drive?"
     )
-
-
-def _is_other_quantity(unit: str, layout: Layout) -> bool:
-    """Whether a title's ``unit`` is that of any quantity."""
-    return unit in (*TAILS, *LETTERS, "%", layout.unit("u"))
 
 
 def _recognise(assignments: dict[str, Assignment], titles: Sequence[str], layout: Layout, source: str) -> None:
