@@ -15,12 +15,12 @@ Bands: for crossings, draws of the data with independent errors of the lines giv
 lines would be too high in every draw; its band is from the largest of the lines' lower bounds to the largest of their
 upper ones.
 
-A law with loops at different rates repeats after N samples. It answers a sine at w at all N frequencies w + 2 pi m/(N
-T). Over these the plant is diagonal, from the data, and the law a matrix H(w), that of its lifted form; the open loop
-is L(w) = -H(w) P(w), N by N. A factor f at the plant input leaves the loop at the edge of stability where det(I + f
-L(w)) = 0, a delay where det(I + L(w)) = 0 with the delay in it. The eigenvalues of L on the measured data give the
-start of these roots, Newton's method the roots for each draw. The sensitivity from a frequency to itself is the
-diagonal of (I + L)^-1.
+A law with loops at different rates repeats after N samples. It answers a sine at w at all N frequencies
+w + 2 pi m/(N T). Over these the plant is diagonal, from the data, and the law a matrix H(w), that of its lifted form;
+the open loop is L(w) = -H(w) P(w), N by N. A factor f at the plant input leaves the loop at the edge of stability where
+det(I + f L(w)) = 0, a delay where det(I + L(w)) = 0 with the delay in it. The eigenvalues of L on the measured data
+give the start of these roots, Newton's method the roots for each draw. The sensitivity from a frequency to itself is
+the diagonal of (I + L)^-1.
 
 Source: S. Bittanti and P. Colaneri, Periodic Systems, Springer 2009, chapters 2 and 6.
 """

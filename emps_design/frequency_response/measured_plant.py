@@ -7,10 +7,10 @@ position, the sampled response is the sum over all aliases of the band,
 
 The term n = 0 holds the continuous response: hold and difference are divided out of it exactly. The aliases, the other
 terms, cannot be measured apart from it. They fall with the third power of the frequency, and at high frequency a plant
-is the mass m on the encoder's side: for P = 1/(m s^2) the sum has a closed form. With x = w T/2 it is x^3 cos(x) /
-sin(x)^3 times its term n = 0, so the aliases add (x^3 cos(x) / sin(x)^3 - 1) / (j w m) to G. That is 0.07 % of the mass
-line at a fifth of the Nyquist frequency and 3 % at half of it. Source: K. J. Astrom and B. Wittenmark,
-Computer-Controlled Systems, chapters 2 and 7.
+is the mass m on the encoder's side: for P = 1/(m s^2) the sum has a closed form. With x = w T/2 it is
+x^3 cos(x) / sin(x)^3 times its term n = 0, so the aliases add (x^3 cos(x) / sin(x)^3 - 1) / (j w m) to G. That is
+0.07 % of the mass line at a fifth of the Nyquist frequency and 3 % at half of it. Source: K. J. Astrom and
+B. Wittenmark, Computer-Controlled Systems, chapters 2 and 7.
 """
 
 from __future__ import annotations
