@@ -1,9 +1,9 @@
-"""What to change in feedback for what no feed-forward holds: a filter at a coupling, a bound of the gain for a play.
+"""Changes of the feedback for what no feed-forward compensates: a filter for a coupling, a gain limit for a play.
 
-A play transmits nothing within its gap. To an oscillation of its twist it is a spring and a damper with a share N of
-their own: its describing function, N from 0 (all within the gap) to 1 (the gap is nothing beside it), the damper's
-phase left out. Where the sampled loop with such a coupling is stable for every N, no limit cycle is expected:
-the bound of the gain is where it first is not. Dry friction is left out, with which there is less to expect.
+A play transmits no force within its gap. For an oscillation it acts as a spring and a damper of which the share N is
+effective: its describing function, from N = 0 (the oscillation stays within the gap) to N = 1 (the gap is negligible),
+without the phase of the damper. No limit cycle is expected as long as the sampled loop with such a coupling is stable
+for every N; the gain limit is the gain at which it first is not. Dry friction is neglected, which is conservative.
 """
 
 from __future__ import annotations
@@ -25,48 +25,48 @@ HIGHEST = 100.0  # factors of the gain looked at, and its inverse
 
 
 def feedback_cures(axis: Axis) -> list[dict[str, Any]]:
-    """One cure for each coupling and each play among the effects of ``axis``: its numbers, and a line of advice.
+    """Return one cure for each coupling and each play among the effects of ``axis``: numbers and a line of advice.
 
     >>> from emps_design.machines import machine
     >>> play = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.1, "share": 0.4}
-    >>> (found,) = feedback_cures(machine("emps2019").replace(effects=[play]))
-    >>> found["gain"], found["limit"] > found["now"] > 243.0
+    >>> (cure,) = feedback_cures(machine("emps2019").replace(effects=[play]))
+    >>> cure["gain"], cure["limit"] > cure["now"] > 243.0
     ('kv', True)
     """
-    found = []
-    for place, one in enumerate(axis.effects):
-        if is_coupling(one.effect):
+    cures = []
+    for place, entry in enumerate(axis.effects):
+        if is_coupling(entry.effect):
             try:
-                cure = _gain(axis, place) if has_play(one.effect) else _filter(axis)
-            except EmpsError as error:  # a law of one's own may have no linear form
+                cure = _gain(axis, place) if has_play(entry.effect) else _filter(axis)
+            except EmpsError as error:  # a user's law may have no linear form
                 cure = {"cure": None, "advice": f"no advice, {error}"}
-            found.append({"effect": one.kind, **cure, "advice": f"{one.kind}: {cure['advice']}"})
-    return found
+            cures.append({"effect": entry.kind, **cure, "advice": f"{entry.kind}: {cure['advice']}"})
+    return cures
 
 
 def _filter(axis: Axis) -> dict[str, Any]:
-    """The filter of the command that lets a velocity loop of ``axis`` go fastest."""
+    """The command filter that gives a velocity loop of ``axis`` its largest crossover."""
     from emps_design.control.velocity.gains import own_filters, own_structure
     from emps_design.control.velocity.limits import suggest_filter
 
     structure = own_structure(axis)
-    found = suggest_filter(axis, PHASE_MARGIN_DEG, structure, own_filters(axis))
+    suggestion = suggest_filter(axis, PHASE_MARGIN_DEG, structure, own_filters(axis))
     loop = f"a velocity loop ({structure.label}) of {PHASE_MARGIN_DEG:g} deg phase margin"
-    before, added = found["without"], found["filter"]
+    before, added = suggestion["without"], suggestion["filter"]
     reached = "has no crossover" if before["crossover"] is None else f"reaches {before['crossover']:.4g} rad/s"
     if added is None:
         advice = f"{loop} {reached}, and no one filter more raises that by a tenth"
     else:
         shape = f", damping {added['damping']:g}, depth {added['depth']:g}" if added["kind"] == "notch" else ""
         advice = (
-            f"{loop} {reached} without, and {found['with']['crossover']:.4g} rad/s with a {added['kind']} at "
+            f"{loop} {reached} without, and {suggestion['with']['crossover']:.4g} rad/s with a {added['kind']} at "
             f"{added['frequency']:.4g} Hz{shape}"
         )
-    return {"cure": "filter", "structure": structure.form, **found, "advice": advice}
+    return {"cure": "filter", "structure": structure.form, **suggestion, "advice": advice}
 
 
 def _gain(axis: Axis, place: int) -> dict[str, Any]:
-    """The gain of the law of ``axis`` up to which no limit cycle is expected of its play."""
+    """The gain of the law of ``axis`` up to which no limit cycle is expected from its play at ``place``."""
     from emps_design.laws import get_law, table_of
 
     factor, name = largest_factor(axis, place), get_law(axis.controller.kind).gain
@@ -94,10 +94,10 @@ def _gain(axis: Axis, place: int) -> dict[str, Any]:
 
 
 def largest_factor(axis: Axis, place: int) -> float:
-    """The factor of the gain of the law of ``axis`` at which its loop with the play at ``place`` first is not stable.
+    """Smallest factor on the gain of the law of ``axis`` that makes its loop with the play at ``place`` unstable.
 
-    Below 1 where it is not stable as it is; infinite where it is up to :data:`HIGHEST`, 0 where nothing is down to its
-    inverse.
+    Below 1 if the loop is unstable with the present gain; infinite if it is stable up to :data:`HIGHEST` times that
+    gain; 0 if it is unstable even at 1 / :data:`HIGHEST` of it.
     """
     loops = _with_shares(axis, place)
 
@@ -105,7 +105,7 @@ def largest_factor(axis: Axis, place: int) -> float:
         from emps_design.control.sampled import axis_loop
 
         drive = {"force_gain": axis.drive.force_gain * factor, "back_emf": axis.drive.back_emf / factor}
-        return all(axis_loop(one.replace(drive=drive)).stable for one in loops)
+        return all(axis_loop(loop.replace(drive=drive)).stable for loop in loops)
 
     ladder = np.geomspace(1.0, HIGHEST, 14)
     if stable(1.0):
@@ -125,9 +125,9 @@ def largest_factor(axis: Axis, place: int) -> float:
 
 
 def _with_shares(axis: Axis, place: int) -> list[Axis]:
-    """``axis`` with a coupling in place of the play: the shares of its describing function, and without the load."""
-    one = axis.effects[place]
-    p = dict(zip((p.name for p in one.effect.parameters), one.effect.values(one.parameters), strict=True))
+    """Return ``axis`` with linear couplings for the play, one per share N, and once without its load (N = 0)."""
+    play = axis.effects[place]
+    p = dict(zip((p.name for p in play.effect.parameters), play.effect.values(play.parameters), strict=True))
     others = [{"kind": other.kind, **other.parameters} for i, other in enumerate(axis.effects) if i != place]
     softest = LOWEST if p["frequency"] > LOWEST else max(RESONANCES[0], 0.1 * p["frequency"])
     low = min(1.0, (softest / p["frequency"]) ** 2 * (1.0 + 1e-9))

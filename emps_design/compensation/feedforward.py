@@ -1,10 +1,10 @@
-"""Feed-forward along a reference: the command that the model says the motion needs, beside the law on its error.
+"""Feed-forward along a reference: the command that the motion needs by the model, added to that of the law.
 
-Terms are ``inertia``, ``viscous``, ``coulomb`` and ``constant`` of the baseline, ``lead`` for what is late between
+Terms are ``inertia``, ``viscous``, ``coulomb`` and ``constant`` of the baseline, ``lead`` for the delay between
 command and force, and one for each effect of the axis that acts on the carriage as a force of position and velocity.
-Every term is the effect's own kernel, evaluated on the reference. A friction follows the reference's velocity, in
-proportion below a small speed, so it does not chatter at a reversal. The law beside it is given the position error
-alone: what it would answer on its own reference (the braking of a velocity feedback) is in the feed-forward already.
+Every term evaluates the effect's own kernel on the reference. Friction takes the sign of the reference velocity and is
+proportional to it below a small speed, so it does not chatter at a reversal. The law acts on the position error alone:
+its response to the reference itself (the braking of a velocity feedback) is already part of the feed-forward.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ REVERSAL = 2e-3  # of the reference's highest speed: below it friction is fed fo
 
 @dataclass(frozen=True)
 class FeedForward:
-    """Feed-forward of the ``terms`` of an ``axis``; ``numbers`` and ``parameters`` in place of the axis's own."""
+    """Feed-forward of the ``terms`` of an ``axis``; ``baseline`` and ``parameters`` replace the axis's own."""
 
     axis: Axis
     terms: tuple[str, ...]
     baseline: np.ndarray = field(repr=False)
     parameters: tuple[np.ndarray, ...] = field(repr=False)
-    back_emf: float = 0.0  # N/(m/s), what that of a motor without a current loop brakes: part of the viscous term
-    late: float = 0.0  # s, between command and force besides the hold and the computation
-    reversal: float = 0.0  # m/s, below which friction is fed forward in proportion; 0: a share of the highest speed
+    back_emf: float = 0.0  # N/(m/s), braking of a motor without a current loop: part of the viscous term
+    late: float = 0.0  # s, from command to force, without the hold and the computation delay
+    reversal: float = 0.0  # m/s, friction is proportional to velocity below it; 0: a share of the highest speed
 
     @classmethod
     def of(cls, axis: Axis, terms: Sequence[str]) -> FeedForward:
         """The feed-forward of ``terms`` with the numbers of ``axis``."""
-        parameters = tuple(one.effect.values(one.parameters) for one in axis.effects)
+        parameters = tuple(entry.effect.values(entry.parameters) for entry in axis.effects)
         braked = axis.drive.braking if "viscous" in terms else 0.0
         return cls(axis, tuple(terms), axis.mechanics.array(), parameters, braked, lateness(axis))
 
     def along(self, q_ref: np.ndarray) -> np.ndarray:
-        """Command to add (n,) along ``q_ref`` (n,) [m] to that of the law on its error.
+        """Return the command (n,) that is added along ``q_ref`` (n,) [m] to that of the law on its error.
 
         >>> from emps_design.machines import machine
         >>> ahead = FeedForward.of(machine("emps2019"), ("constant",)).along(np.zeros(5))
@@ -59,7 +59,7 @@ class FeedForward:
 
     @property
     def wait(self) -> float:
-        """Time [s] from a sample to the middle of what its command does."""
+        """Time [s] from a sample to the middle of the period in which its command acts."""
         sampling = self.axis.sampling
         return (0.5 + sampling.computation_delay) * sampling.period + (self.late if LEAD in self.terms else 0.0)
 
@@ -75,13 +75,13 @@ class FeedForward:
         return (force + self.back_emf * v if self.back_emf else force) / self.axis.drive.gain
 
     def own(self) -> np.ndarray:
-        """The baseline that counts (4,)."""
+        """The baseline (4,), 0 for each parameter that is not among the terms."""
         return np.array([self.baseline[at] if name in self.terms else 0.0 for name, at in BASELINE.items()])
 
     def effects(self) -> list[tuple[str, Effect, np.ndarray]]:
         """Name, effect and parameters of every effect among the terms."""
         each = zip(names_of_effects(self.axis), self.axis.effects, self.parameters, strict=True)
-        return [(name, one.effect, values) for name, one, values in each if name in self.terms]
+        return [(name, entry.effect, values) for name, entry, values in each if name in self.terms]
 
 
 def reversal_of(q_ref: np.ndarray, period: float) -> float:
@@ -91,36 +91,36 @@ def reversal_of(q_ref: np.ndarray, period: float) -> float:
 
 def names_of_effects(axis: Axis) -> list[str]:
     """A name for each effect of ``axis``: its kind, numbered where there are several of one."""
-    kinds, found = [one.kind for one in axis.effects], []
+    kinds, names = [entry.kind for entry in axis.effects], []
     for place, kind in enumerate(kinds):
-        found.append(kind if kinds.count(kind) == 1 else f"{kind}_{kinds[: place + 1].count(kind)}")
-    return found
+        names.append(kind if kinds.count(kind) == 1 else f"{kind}_{kinds[: place + 1].count(kind)}")
+    return names
 
 
 def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
     """Every term that ``axis`` has, and a line for each of its effects that cannot be compensated."""
-    terms, left = [*BASELINE], {}
-    for name, one in zip(names_of_effects(axis), axis.effects, strict=True):
-        reason = why_not(one.effect)
+    terms, not_compensated = [*BASELINE], {}
+    for name, entry in zip(names_of_effects(axis), axis.effects, strict=True):
+        reason = why_not(entry.effect)
         if not reason:
             terms.append(name)
-        elif one.effect.delay is None and one.effect.lag is None:
-            left[name] = reason
-    return (*terms, *([LEAD] if lateness(axis) > 0.0 else [])), left
+        elif entry.effect.delay is None and entry.effect.lag is None:
+            not_compensated[name] = reason
+    return (*terms, *([LEAD] if lateness(axis) > 0.0 else [])), not_compensated
 
 
 def lateness(axis: Axis) -> float:
-    """Time [s] by which the force is late behind the command: current loop, lags and delays among the effects."""
+    """Time [s] by which the force lags the command: current loop, lags and delays among the effects."""
     b, late = axis.mechanics.array(), axis.drive.current_time_constant
-    for one in axis.effects:
-        p = one.effect.values(one.parameters)
-        for hook in (one.effect.delay, one.effect.lag):
+    for entry in axis.effects:
+        p = entry.effect.values(entry.parameters)
+        for hook in (entry.effect.delay, entry.effect.lag):
             late += hook(0.0, 0.0, 0.0, 0.0, np.zeros(0), p, b) if hook is not None else 0.0
     return float(late)
 
 
 def why_not(effect: Effect) -> str:
-    """Why no force of the position and velocity of the moment is ``effect``; nothing where one is."""
+    """Return why no force of the present position and velocity stands for ``effect``; empty if one does."""
     if effect.rate is not None:
         return "it has a state of its own, which position and velocity do not give"
     if effect.channel != "plant":

@@ -39,7 +39,7 @@ PER_RECORD = "its phase is that of one record's zero: home the encoder before it
 
 @dataclass(frozen=True)
 class TermResult:
-    """One term: tracking error with it ``alone``, with all the others but it, and what became of it."""
+    """One term: tracking error with it ``alone``, with all other terms, at its worst, and whether it is ``kept``."""
 
     name: str
     kept: bool
@@ -51,7 +51,7 @@ class TermResult:
 
 @dataclass(frozen=True)
 class Compensation:
-    """A feed-forward and what it does to the tracking error rms, in the unit of what the law follows."""
+    """A feed-forward and the rms tracking error with and without it, in the unit of what the law follows."""
 
     axis: Axis
     feedforward: FeedForward
@@ -71,13 +71,13 @@ class Compensation:
     warnings: tuple[str, ...] = ()
 
     def errors(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Time [s] and tracking error (n,), without feed-forward and with what is kept."""
+        """Time [s] (n,) and tracking error (n,), ``without`` feed-forward and ``with`` the terms that are kept."""
         trial = Trial(self.axis, self.q_ref)
-        found = {"without": trial.error(None)[0], "with": trial.error(trial.ahead(self.feedforward))[0]}
-        return self.axis.sampling.period * np.arange(self.q_ref.size), found
+        errors = {"without": trial.error(None)[0], "with": trial.error(trial.ahead(self.feedforward))[0]}
+        return self.axis.sampling.period * np.arange(self.q_ref.size), errors
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's keys, and what was assumed."""
+        """The keys of the JSON document, with the assumptions."""
         return {
             "axis": self.axis.name,
             "axis_sha256": digest_of(self.axis),
@@ -115,7 +115,7 @@ class Compensation:
 
 
 def digest_of(axis: Axis) -> str:
-    """SHA-256 of all that ``axis`` says but its name."""
+    """SHA-256 of the axis file of ``axis`` without its name."""
     return hashlib.sha256(axis.replace(name="axis").to_toml().encode()).hexdigest()
 
 
@@ -154,7 +154,7 @@ class Trial:
     def error(self, ahead: np.ndarray | None) -> tuple[np.ndarray, float]:
         """Tracking error (n,) with ``ahead`` (n,) beside the law on its error, and the share of samples at the limit.
 
-        None for ``ahead``: the law alone, as it is. Raises :class:`SimulationError` where the loop is unstable.
+        With None the law acts alone, unchanged. Raises :class:`SimulationError` where the loop is unstable.
         """
         law = self.law if ahead is None else self.law.on_error()
         run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead, law=law)
@@ -163,11 +163,11 @@ class Trial:
 
     @property
     def wanted(self) -> np.ndarray:
-        """What the law is to follow (n,) [m or m/s]."""
+        """The reference of the law (n,) [m or m/s]."""
         return np.gradient(self.q_ref, self.axis.sampling.period) if self._follows_velocity else self.q_ref
 
     def overshoot(self, ahead: np.ndarray | None) -> float:
-        """How far beyond all that is wanted the axis goes, in the unit of the tracking error; infinite if unstable."""
+        """How far the axis leaves the range of its reference, in the reference's unit; infinite if unstable."""
         wanted = self.wanted
         try:
             came = wanted - self.error(ahead)[0]
@@ -184,7 +184,7 @@ class Trial:
         return float(np.sqrt(np.mean(error**2))), limited
 
     def ahead(self, feedforward: FeedForward) -> np.ndarray | None:
-        """What ``feedforward`` adds to the command (n,); None for nothing."""
+        """The command (n,) that ``feedforward`` adds; None without terms."""
         return feedforward.along(self.q_ref) if feedforward.terms else None
 
     def with_ahead(self, feedforward: FeedForward) -> tuple[float, float]:
@@ -197,7 +197,7 @@ class Trial:
 
     @cached_property
     def with_terms(self) -> Callable[[tuple[str, ...]], tuple[float, float]]:
-        """:meth:`with_ahead` of terms with the axis's own numbers; each set of terms is run once."""
+        """:meth:`with_ahead` of terms with the axis's own parameters; each set of terms is simulated once."""
         return cache(lambda terms: self.with_ahead(FeedForward.of(self.axis, terms)))
 
 
@@ -210,13 +210,13 @@ def compensate(
 ) -> Compensation:
     """Find the feed-forward of ``axis`` that lowers the tracking error along ``q_ref`` (n,) [m], and try it.
 
-    ``q_ref`` by default one lap of trapezoids of velocity; ``mismatch`` is the relative error of the parameters,
-    ``phase_deg`` that of phases; ``terms`` the only ones to take, by default all. Raises :class:`InputError` for a law
-    that follows nothing and for another term, :class:`UnstableError` where the loop is unstable without feed-forward.
+    ``q_ref`` is by default one lap of trapezoidal velocity; ``mismatch`` is the relative error of the parameters,
+    ``phase_deg`` that of phases; ``terms`` are those to choose from, by default all. Raises :class:`InputError` for a
+    law without a reference and for an unknown term, :class:`UnstableError` if the loop alone is unstable.
 
     >>> from emps_design.machines import machine
-    >>> found = compensate(machine("emps2019")).to_dict()["tracking_rms"]
-    >>> found["with"] < 0.05 * found["without"]
+    >>> rms = compensate(machine("emps2019")).to_dict()["tracking_rms"]
+    >>> rms["with"] < 0.05 * rms["without"]
     True
     """
     for name, value in (("mismatch", mismatch), ("phase_deg", phase_deg)):
@@ -226,7 +226,7 @@ def compensate(
         from emps_design.simulation import trapezoid_laps
 
         q_ref = trapezoid_laps(axis.sampling.period, laps=1)
-    possible, left = terms_of(axis)
+    possible, not_compensated = terms_of(axis)
     unknown = [name for name in terms or () if name not in possible]
     if unknown:
         raise InputError(f"compensation: found the term {unknown[0]!r}, expected one of {', '.join(possible)}")
@@ -248,7 +248,7 @@ def compensate(
     ahead = replace(FeedForward.of(axis, kept), reversal=reversal_of(q_ref, axis.sampling.period))
     achieved, limited = trial.with_terms(kept)
     worst = _worst(trial, kept, mismatch, phase_deg)
-    warnings = [f"{name} is not compensated: {reason}" for name, reason in left.items()]
+    warnings = [f"{name} is not compensated: {reason}" for name, reason in not_compensated.items()]
     warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
     if kept and axis.controller.parameters.get("anti_windup") == "none":
         warnings.append(
@@ -259,17 +259,17 @@ def compensate(
     if limited > 0.0:
         warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time{_farther(*overshoot, trial)}")
     tried = tuple(
-        TermResult(name, name in kept, alone[name], *trials[name], notes.get(name, _home(axis, name)))
+        TermResult(name, name in kept, alone[name], *trials[name], notes.get(name, _note_on_phase(axis, name)))
         for name in possible
     )
     return Compensation(
-        axis, ahead, q_ref, without, baseline, achieved, worst, tried, left, mismatch, phase_deg, limited,
+        axis, ahead, q_ref, without, baseline, achieved, worst, tried, not_compensated, mismatch, phase_deg, limited,
         overshoot, trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
     )  # fmt: skip
 
 
 def _farther(without: float, achieved: float, trial: Trial) -> str:
-    """In words that the feed-forward takes the axis farther beyond its reference than the law alone does."""
+    """Return a clause that the feed-forward overshoots more than the law alone; empty if it does not."""
     if not achieved > max(1.05 * without, 1e-3 * float(np.ptp(trial.wanted))):
         return ""
     unit = "mm/s" if trial.law.follows == "velocity" else "mm"
@@ -282,13 +282,13 @@ def _farther(without: float, achieved: float, trial: Trial) -> str:
 def _selected(
     trial: Trial, possible: Sequence[str], mismatch: float, phase_deg: float
 ) -> tuple[tuple[str, ...], dict[str, str], dict[str, tuple[float | None, float | None]]]:
-    """Terms that are worth it at their worst; notes on those that are not; errors without each, and at its worst."""
+    """Return the terms that help even at their worst, notes on the others, and errors without and at worst of each."""
     kept, notes = list(possible), dict[str, str]()
     trials: dict[str, tuple[float | None, float | None]] = {}
     while True:
         harm: dict[str, float] = {}
         for name in kept:
-            others = tuple(one for one in kept if one != name)
+            others = tuple(term for term in kept if term != name)
             lacking, _ = trial.with_terms(others)
             worst = _worst(trial, tuple(kept), mismatch, phase_deg, only=name)
             trials[name] = (lacking, worst)
@@ -296,20 +296,21 @@ def _selected(
                 harm[name] = worst / lacking if lacking > 0.0 else math.inf
         if not harm:
             return tuple(kept), notes, trials
-        name = max(harm, key=lambda one: harm[one])
+        name = max(harm, key=lambda term: harm[term])
         kept.remove(name)
         notes[name] = f"within its uncertainty it does harm, {100 * (harm[name] - 1):.2g} % more error than without it"
 
 
-def _home(axis: Axis, name: str) -> str:
-    for own, one in zip(names_of_effects(axis), axis.effects, strict=True):
-        if own == name and any(p.per_record for p in one.effect.parameters):
+def _note_on_phase(axis: Axis, name: str) -> str:
+    """Return a note where a parameter of the effect ``name`` belongs to one record; empty otherwise."""
+    for own, entry in zip(names_of_effects(axis), axis.effects, strict=True):
+        if own == name and any(p.per_record for p in entry.effect.parameters):
             return PER_RECORD
     return ""
 
 
 def _worst(trial: Trial, terms: tuple[str, ...], mismatch: float, phase_deg: float, only: str | None = None) -> float:
-    """Tracking error with every parameter of ``terms`` (of ``only``) wrong, each the way that alone does more harm."""
+    """Rms tracking error with all parameters of ``terms`` (of ``only``) wrong, each with its more harmful sign."""
     wrong = ahead = FeedForward.of(trial.axis, terms)
     for change in _changes(ahead, mismatch, phase_deg, only):
         sides = [change(side, ahead) for side in (1.0, -1.0)]
@@ -319,42 +320,40 @@ def _worst(trial: Trial, terms: tuple[str, ...], mismatch: float, phase_deg: flo
 
 
 def _changes(ahead: FeedForward, mismatch: float, phase_deg: float, only: str | None) -> list[Any]:
-    """What can be wrong about ``ahead``: functions of a side, +1 or -1, and a feed-forward to make wrong."""
-    found: list[Any] = []
+    """Return one function per parameter of ``ahead``: of a sign and a feed-forward, which it returns with the error."""
+    changes: list[Any] = []
     wanted = ahead.terms if only is None else (only,)
+    phase = math.radians(phase_deg)
+
+    def factor(side: float) -> float:
+        return 1.0 + side * mismatch
+
     for name, at in BASELINE.items():
         if name in wanted:
-            found.append(lambda side, given, at=at: _with_baseline(given, at, 1.0 + side * mismatch))
+            changes.append(lambda side, nominal, at=at: _with_baseline(nominal, at, factor(side)))
     if ahead.back_emf and "viscous" in wanted:
-        found.append(lambda side, given: replace(given, back_emf=given.back_emf * (1.0 + side * mismatch)))
-    for place, (name, one) in enumerate(zip(names_of_effects(ahead.axis), ahead.axis.effects, strict=True)):
-        for at, parameter in enumerate(one.effect.parameters if name in wanted else ()):
-            if parameter.discrete or parameter.name == one.effect.repeats:
+        changes.append(lambda side, nominal: replace(nominal, back_emf=nominal.back_emf * factor(side)))
+    for place, (name, entry) in enumerate(zip(names_of_effects(ahead.axis), ahead.axis.effects, strict=True)):
+        for at, parameter in enumerate(entry.effect.parameters if name in wanted else ()):
+            if parameter.discrete or parameter.name == entry.effect.repeats:
                 continue
             if parameter.unit == "rad":
-                found.append(lambda side, given, p=place, at=at: _moved(given, p, at, side * math.radians(phase_deg)))
+                changes.append(lambda side, nominal, p=place, at=at: _with_parameter(nominal, p, at, 1.0, side * phase))
             else:
-                found.append(lambda side, given, p=place, at=at: _scaled(given, p, at, 1.0 + side * mismatch))
+                changes.append(lambda side, nominal, p=place, at=at: _with_parameter(nominal, p, at, factor(side)))
     if LEAD in wanted:
-        found.append(lambda side, given: replace(given, late=given.late * (1.0 + side * mismatch)))
-    return found
+        changes.append(lambda side, nominal: replace(nominal, late=nominal.late * factor(side)))
+    return changes
 
 
-def _with_baseline(given: FeedForward, at: int, factor: float) -> FeedForward:
-    baseline = given.baseline.copy()
+def _with_baseline(feedforward: FeedForward, at: int, factor: float) -> FeedForward:
+    baseline = feedforward.baseline.copy()
     baseline[at] *= factor
-    return replace(given, baseline=baseline)
+    return replace(feedforward, baseline=baseline)
 
 
-def _scaled(given: FeedForward, place: int, at: int, factor: float) -> FeedForward:
-    return _changed(given, place, at, given.parameters[place][at] * factor)
-
-
-def _moved(given: FeedForward, place: int, at: int, by: float) -> FeedForward:
-    return _changed(given, place, at, given.parameters[place][at] + by)
-
-
-def _changed(given: FeedForward, place: int, at: int, value: float) -> FeedForward:
-    parameters = [values.copy() for values in given.parameters]
-    parameters[place][at] = value
-    return replace(given, parameters=tuple(parameters))
+def _with_parameter(feedforward: FeedForward, place: int, at: int, factor: float, shift: float = 0.0) -> FeedForward:
+    """Return ``feedforward`` with parameter ``at`` of effect ``place`` scaled by ``factor``, then shifted."""
+    parameters = [values.copy() for values in feedforward.parameters]
+    parameters[place][at] = factor * parameters[place][at] + shift
+    return replace(feedforward, parameters=tuple(parameters))
