@@ -1,6 +1,6 @@
-"""One verdict on one impedance law: derived and as printed, sampled, under mismatch, in contact, and the nearest.
+"""Assess an impedance law: apparent impedance derived and as printed, sampled stability, mismatch, contact.
 
-What to read with the numbers of an impedance law: each warning where the finding is, in one place.
+The assessment gives one verdict, the warnings, and the nearest stable law if this one is not.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ from emps_design.laws.friction_model import PARAMETERS, left_out
 from emps_design.notebook import table
 from emps_design.progress import Progress
 
-FIRST = (1, 9, 41)  # estimates that are simulated of a law to propose before the rest of them
-DRAWN, FEW = 200, 4  # those, and of an axis with effects, whose simulation takes longer
-LITTLE = 1e-3  # their error without a mismatch
+FIRST = (1, 9, 41)  # where the estimates of a proposed law are split into batches, simulated in turn
+DRAWN, FEW = 200, 4  # random estimates of a proposed law; on an axis with effects, which takes longer to simulate
+LITTLE = 1e-3  # relative error of these estimates if there is no mismatch
 SPEED = 0.1  # m/s, of the slide in which effects are linearised
-SWINGS = ("limit_cycle", "unstable")  # verdicts on a law that is of no use
-# What the released carriage does, by the verdict on it.
+SWINGS = ("limit_cycle", "unstable")  # verdicts on an unusable law
+# Motion of the released carriage, by verdict.
 DOES = {
     "stable": "comes to rest",
     "dead_band": "comes to rest",
@@ -81,15 +81,15 @@ SHARES = (
 )  # fmt: skip
 
 
-def cautions_of(found: Any, document: dict[str, Any]) -> list[str]:
-    """Warnings on the :class:`ImpedanceAssessment` ``found``, whose other results are in ``document``."""
-    axis, law = found.axis, found.law
-    words = [] if found.stable else [found.reason]
+def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
+    """Return the warnings on the :class:`ImpedanceAssessment`, whose other results are in ``document``."""
+    axis, law = assessment.axis, assessment.law
+    words = [] if assessment.stable else [assessment.reason]
     if law.at_singularity(PRINTED):
         words.append(
             "printed is undefined: at M_a = 2 M the current cancels itself in (30) as printed; derived it is not"
         )
-    sinking = sinking_force(found.plant)
+    sinking = sinking_force(assessment.plant)
     if sinking > 0.0:
         words.append(
             f"the constant force exceeds dry friction by {sinking:.3g} N, and at rest this law holds nothing: the "
@@ -100,7 +100,7 @@ def cautions_of(found: Any, document: dict[str, Any]) -> list[str]:
         "and contact"
         for kind in left_out(axis)
     ]
-    words += safety_words(axis, law.mass, law.damping, found.mismatch or 0.0)
+    words += safety_words(axis, law.mass, law.damping, assessment.mismatch or 0.0)
     if document["smallest_safe_mass"] is None:
         words.append(
             "smallest_safe_mass is undefined: with this filter and damping the law is unstable or swings even at "
@@ -109,7 +109,7 @@ def cautions_of(found: Any, document: dict[str, Any]) -> list[str]:
     if law.damping == 0.0:
         words.append("damping B is 0: nothing brings the released carriage to rest")
     oscillation = document["coulomb_oscillation"]
-    if oscillation is not None and oscillation["speed"] > 2.0 * found.slowest_drift:
+    if oscillation is not None and oscillation["speed"] > 2.0 * assessment.slowest_drift:
         words.append(
             f"the Coulomb compensation may hunt, at {1e3 * oscillation['speed']:.2g} mm/s or more and below "
             f"{oscillation['frequency']:.2g} rad/s (describing function); a smaller Coulomb factor removes it, or "
@@ -127,8 +127,8 @@ def cautions_of(found: Any, document: dict[str, Any]) -> list[str]:
             f"not passive from {low:.3g} rad/s on"
             + ("" if wall is None else f"; the poles bear an undamped wall of up to {wall:.3g} N/m")
         )
-    for name, limit in found.walls.items():
-        which = "exact estimates" if name == "exact" else f"estimates off by +-{100 * (found.mismatch or 0.0):g} %"
+    for name, limit in assessment.walls.items():
+        which = "exact estimates" if name == "exact" else f"estimates off by +-{100 * (assessment.mismatch or 0.0):g} %"
         words.append(
             f"{which}: pressed against a wall the carriage comes to rest up to {limit.simulated:.3g} N/m; beyond, "
             "the Coulomb compensation may keep it swinging (simulated with pushes around "
@@ -137,8 +137,8 @@ def cautions_of(found: Any, document: dict[str, Any]) -> list[str]:
     if contact is not None and document["largest_wall_stiffness"] is None:
         words.append("largest_wall_stiffness is unbounded: stable up to 1 GN/m")
     mismatch = document.get("mismatch")
-    if mismatch is not None and found.study is not None:
-        words += found.study.warnings
+    if mismatch is not None and assessment.study is not None:
+        words += assessment.study.warnings
         if math.isinf(mismatch["creep_speed"]):
             words.append("mismatch.creep_speed is unbounded: at a corner the apparent damping is not positive")
         elif mismatch["creep_speed"] > 0.0:
@@ -155,7 +155,7 @@ def cautions_of(found: Any, document: dict[str, Any]) -> list[str]:
 
 @dataclass(frozen=True)
 class ImpedanceAssessment:
-    """What :func:`assess_impedance` found; ``study`` is None without a mismatch."""
+    """Result of :func:`assess_impedance`; ``study`` is None without a mismatch."""
 
     axis: Axis
     law: ImpedanceLaw
@@ -181,7 +181,7 @@ class ImpedanceAssessment:
 
     @cached_property
     def extended(self) -> SampledLoop | None:
-        """The loop with the effects that the friction model cannot hold, linearised; None where there are none."""
+        """The loop with the effects that the friction model leaves out, linearised; None without such effects."""
         if not left_out(self.axis):
             return None
         return max((extended_loop(self.axis, self.law, v) for v in self._speeds), key=lambda loop: loop.radius)
@@ -197,13 +197,13 @@ class ImpedanceAssessment:
 
     @cached_property
     def loop(self) -> SampledLoop:
-        """The sampled loop on the friction model, in the direction of motion in which it is the less stable."""
+        """The sampled loop on the friction model, in the less stable direction of motion."""
         loops = [sampled_loop(self.law, self.plant, self.clock, direction) for direction in self.plant.directions]
         return max(loops, key=lambda loop: loop.radius)
 
     @cached_property
     def simulated(self) -> str:
-        """The verdict on the whole axis, guided and let go with exact estimates, its encoder and its limit included."""
+        """The verdict on the whole axis, guided and released with exact estimates, with its encoder and limit."""
         return run_task(self.axis, self.law, fitted_task(self.axis, self.law)).verdict
 
     @cached_property
@@ -211,10 +211,10 @@ class ImpedanceAssessment:
         """The stiffest wall with exact estimates and at the worst corner of the mismatch; empty where unbounded."""
         if not self.stable:
             return {}
-        found = {"exact": wall_limit(self.axis, self.law)}
+        limits = {"exact": wall_limit(self.axis, self.law)}
         if self.mismatch:
-            found["mismatch"] = wall_limit(self.axis, self.law, self.mismatch)
-        return {name: limit for name, limit in found.items() if limit is not None}
+            limits["mismatch"] = wall_limit(self.axis, self.law, self.mismatch)
+        return {name: limit for name, limit in limits.items() if limit is not None}
 
     @property
     def slowest_drift(self) -> float:
@@ -230,9 +230,9 @@ class ImpedanceAssessment:
     @cached_property
     def verdict(self) -> str:
         """The worst of ``VERDICTS``: of the poles, with exact estimates, and of every plant within the mismatch."""
-        found = [self.simulated, *([] if self.poles_stable else ["unstable"])]
-        found += [] if self.study is None else [VERDICTS[self.study.verdict.max()]]
-        return max(found, key=VERDICTS.index)
+        verdicts = [self.simulated, *([] if self.poles_stable else ["unstable"])]
+        verdicts += [] if self.study is None else [VERDICTS[self.study.verdict.max()]]
+        return max(verdicts, key=VERDICTS.index)
 
     @property
     def stable(self) -> bool:
@@ -241,10 +241,10 @@ class ImpedanceAssessment:
 
     @property
     def headline(self) -> str:
-        """The verdict, and how many of the simulated plants it is that of, in one sentence."""
+        """The verdict and the number of simulated plants that share it, in one sentence."""
         name, study = self.verdict.replace("_", " "), self.study
         outcomes = [self.simulated] if study is None else [VERDICTS[place] for place in study.verdict]
-        count = sum(DOES[one] == DOES[self.verdict] for one in outcomes)
+        count = sum(DOES[outcome] == DOES[self.verdict] for outcome in outcomes)
         if not count and self.simulated != self.verdict:
             return f"{name}: the sampled loop has a pole outside the unit circle"
         where = f" in {count} of {len(outcomes)} plants simulated within +-{100 * (self.mismatch or 0.0):g} %"
@@ -254,9 +254,9 @@ class ImpedanceAssessment:
         return f"{name}: the released carriage {DOES[self.verdict]}{where}{speed}"
 
     def _calm(self, law: ImpedanceLaw) -> bool:
-        """Whether ``law`` guided and let go comes to no swing, with estimates anywhere within the mismatch.
+        """Whether the carriage does not swing under ``law``, guided and released, with estimates within the mismatch.
 
-        Beside a law that swings one may by chance come to rest: without a mismatch estimates are off a little too.
+        Without a mismatch the estimates get small errors: a law close to one that swings may come to rest by chance.
         """
         size, task = self.mismatch or LITTLE, fitted_task(self.axis, law, self.mismatch or 0.0)
         split = self.plant.two_quadrant or (self.study is not None and self.study.split)
@@ -265,16 +265,16 @@ class ImpedanceAssessment:
             -size, size, (DRAWN if self.extended is None else FEW, len(PARAMETERS))
         )
         errors = np.vstack([np.zeros(len(PARAMETERS)), corners, drawn])
-        for some in np.split(errors, FIRST):  # most that swing show it soon
-            off = with_errors(law, some)
+        for batch in np.split(errors, FIRST):  # most laws that swing do so in a small batch
+            off = with_errors(law, batch)
             for way in (task, task.reversed) if split else (task,):
-                if len(some) and any(VERDICTS[place] in SWINGS for place in run_many(self.axis, [off], way).verdict):
+                if len(batch) and any(VERDICTS[place] in SWINGS for place in run_many(self.axis, [off], way).verdict):
                     return False
         return True
 
     @cached_property
     def nearest(self) -> dict[str, float] | None:
-        """The nearest law (mass, damping, filter) that is stable and does not swing; None for none, and if this is."""
+        """The nearest stable law (mass, damping, filter) that does not swing; None without one, and if this one is."""
         if self.stable:
             return None
 
@@ -287,7 +287,7 @@ class ImpedanceAssessment:
 
     @property
     def reason(self) -> str:
-        """Why the law is refused, in one line; empty where it is stable."""
+        """The reason why the law is refused, in one line; empty if it is stable."""
         if self.stable:
             return ""
         if self.poles_stable:
@@ -318,13 +318,13 @@ class ImpedanceAssessment:
         )
 
     def require_stable(self) -> ImpedanceLaw:
-        """Return the law, or refuse it: :class:`UnstableError` with the reason and the nearest stable one."""
+        """Return the law; raise :class:`UnstableError` with the reason and the nearest stable law if it is unstable."""
         if not self.stable:
             raise UnstableError(self.reason, dict(self.nearest or {}))
         return self.law
 
     def to_dict(self) -> dict[str, Any]:
-        """Keys of the contract, and beside them passivity, contact, rest, and the smallest safe M_a."""
+        """The JSON document: apparent impedance, sampled loop, passivity, contact, mismatch, and smallest safe M_a."""
         return deepcopy(self._document)
 
     @cached_property
@@ -389,12 +389,12 @@ class ImpedanceAssessment:
         return self.axis.units.text(table(f"{self.axis.name}, impedance law, {self.headline}", rows))
 
     def _felt(self, law: ImpedanceLaw) -> ApparentImpedance:
-        """What the operator feels, in the direction in which more of the Coulomb friction is left, or pushes."""
+        """Apparent impedance in the direction with the larger remaining Coulomb force, which resists or pushes."""
         each = [law.apparent(self.plant, direction) for direction in self.plant.directions]
         return max(each, key=lambda felt: abs(felt.coulomb_left))
 
     def _printed(self, ideal: ImpedanceLaw) -> dict[str, float | None]:
-        """What is felt by (30) as printed; None where that has no solution."""
+        """Apparent impedance by (30) as printed; None for each number if that has no solution."""
         if ideal.at_singularity(PRINTED):
             return dict.fromkeys(("apparent_mass", "apparent_damping", "coulomb_left"))
         return {**self._felt(replace(ideal, current_factor=PRINTED)).to_dict()}
@@ -403,7 +403,7 @@ class ImpedanceAssessment:
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]
         summary = study.to_dict()
         if not self.poles_stable and summary["worst"]["verdict"] not in SWINGS:
-            # Poles that the plants of the study do not have: sticking, or with effects linearised.
+            # The unstable poles are of a sticking carriage, or of linearised effects: the plants do not have them.
             summary["worst"] = {**summary["worst"], "verdict": "unstable"}
         creep = max(creep_speed(law, self.plant) for law in corners)
         return {
@@ -436,11 +436,11 @@ def assess_impedance(
     """Assess the law with M_a = ``mass`` [kg], B = ``damping`` [N/(m/s)] on ``axis``; see :class:`ImpedanceAssessment`.
 
     ``mismatch`` adds the study of section IV-B; ``options`` go to :class:`ImpedanceLaw`. Raises
-    :class:`InputError` for numbers that cannot be meant.
+    :class:`InputError` for numbers out of range.
 
     >>> from emps_design.machines import machine
-    >>> found = assess_impedance(machine("emps2018"), 50.0, 100.0).to_dict()
-    >>> {name: round(value, 1) for name, value in found["printed"].items()}
+    >>> document = assess_impedance(machine("emps2018"), 50.0, 100.0).to_dict()
+    >>> {name: round(value, 1) for name, value in document["printed"].items()}
     {'apparent_mass': 73.8, 'apparent_damping': 235.8, 'coulomb_left': 6.3}
     """
     law = impedance_law(axis, mass, damping, filter, **options)

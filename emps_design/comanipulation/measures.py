@@ -1,11 +1,11 @@
-"""What is measured on a run of a task, from its samples, and the verdict that follows.
+"""Measures of a simulated task, computed sample by sample, and the verdict that follows from them.
 
-The felt impedance is that of the task's own frequencies. With ``F``, ``V`` and ``A`` the sums over the samples in hand
-and in motion of the force, of the mean velocity and of the mean acceleration of a period, times ``exp(-j w t)``, mass
-and damping are those with the least ``|F - M A - B V|^2`` summed over the frequencies of the task: ``F/V = B + j w M``
-weighted by the spectrum of the velocity, and exact where a motion does not begin and end at rest. A regression on the
-acceleration of single samples sees the steps of an ordinary encoder in place of the mass: it is many times as large
-between two samples as over a movement, and the force does not follow it.
+The apparent impedance is that at the task's own frequencies. ``F``, ``V`` and ``A`` are sums over the guided samples in
+motion of the force, the mean velocity and the mean acceleration of a period, times ``exp(-j w t)``. Mass and damping
+minimise ``|F - M A - B V|^2`` summed over the frequencies of the task: ``F/V = B + j w M`` weighted by the spectrum of
+the velocity, exact also for a motion that does not begin and end at rest. A regression on the acceleration of single
+samples would fit the steps of an ordinary encoder instead of the mass: from one sample to the next they are many times
+as large as the acceleration of the movement, and the force does not follow them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from emps_design.control.impedance.robustness import VERDICTS
 from emps_design.simulation.kernels.compile import inlined, part
 
-# What is measured on a run, in the order of the array that holds it; the sums at two frequencies follow.
+# The measures in the order of the array that holds them; the sums at two frequencies follow.
 NAMES = (
     "peak_u", "clipped", "clipped_end", "flips", "peak_force", "force2", "impulse", "work", "path", "miss2", "held",
     "end_min_v", "end_max_v", "end_turns", "end_min_u", "end_max_u", "end_speed", "release_v", "moving", "drift",
@@ -33,15 +33,15 @@ _SWING = 50  # samples within which a voltage that was at one limit must be at t
 
 @part
 def measure(q, v, u, force, wish, turns, limit, period, release, end, m):
-    """Fill ``m`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), with the state in which it ended.
+    """Fill ``m`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), the last one the final state.
 
-    ``u`` [V], ``force`` [N] of the operator, held over each period, and ``wish`` [m], where the hand means to be, have
-    n samples or one more; ``turns`` (release, 4) see :attr:`~emps_design.comanipulation.task.Task.turns`. The carriage
-    is let go at sample ``release``; a verdict looks at the samples from ``end`` on.
+    ``u`` [V], ``force`` [N] of the operator, held over each period, and ``wish`` [m], the position that the hand aims
+    at, have n samples or one more; ``turns`` (release, 4) see :attr:`~emps_design.comanipulation.task.Task.turns`. The
+    carriage is released at sample ``release``; a verdict uses the samples from ``end`` on.
     """
     n = q.size - 1
     last_clip, clipped_at = 0.0, 0
-    nothing(n, release, m)
+    reset(n, release, m)
     for k in range(n):
         if abs(u[k]) >= limit:
             clip = 1.0 if u[k] > 0.0 else -1.0
@@ -51,17 +51,17 @@ def measure(q, v, u, force, wish, turns, limit, period, release, end, m):
             last_clip, clipped_at = clip, k
         if k < release:
             turn = (turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3])
-            in_hand(q[k], q[k + 1], v[k], v[k + 1], u[k], force[k], wish[k], turn, period, m)
+            measure_guided(q[k], q[k + 1], v[k], v[k + 1], u[k], force[k], wish[k], turn, period, m)
         else:
-            let_go(v[k + 1], u[k], k, n, release, m)
+            measure_free(v[k + 1], u[k], k, n, release, m)
         if k >= end:
-            watched(q[k], q[k + 1], v[k], v[k + 1], u[k], m)
-    over(q[release:], v[release], n, release, end, period, m)
+            measure_end(q[k], q[k + 1], v[k], v[k + 1], u[k], m)
+    finish(q[release:], v[release], n, release, end, period, m)
 
 
 @part
-def nothing(n, release, m):
-    """Begin to measure ``n`` samples."""
+def reset(n, release, m):
+    """Set the measures ``m`` of ``n`` samples to their initial values."""
     for i in range(MEASURES):
         m[i] = 0.0
     m[_END_MIN_V], m[_END_MIN_U], m[_END_MAX_V], m[_END_MAX_U] = np.inf, np.inf, -np.inf, -np.inf
@@ -69,7 +69,7 @@ def nothing(n, release, m):
 
 
 @part
-def in_hand(q, q1, v, v1, u, force, wish, turn, period, m):
+def measure_guided(q, q1, v, v1, u, force, wish, turn, period, m):
     """Measure one period before the release, from position and velocity at its beginning and its end.
 
     ``turn`` are cosine and minus sine of the phase of the task's two frequencies, the slow one first.
@@ -101,15 +101,15 @@ def in_hand(q, q1, v, v1, u, force, wish, turn, period, m):
 
 
 @part
-def let_go(v1, u, k, n, release, m):
-    """Measure period ``k`` of ``n``, after the release: when did the carriage first stop."""
+def measure_free(v1, u, k, n, release, m):
+    """Measure period ``k`` of ``n``, after the release: peak voltage and the samples until the carriage first stops."""
     m[_PEAK_U] = max(m[_PEAK_U], abs(u))
     m[_MOVING] = k + 1.0 - release if v1 == 0.0 and m[_MOVING] == n - release else m[_MOVING]
 
 
 @part
-def watched(q, q1, v, v1, u, m):
-    """Measure one period of those that a verdict looks at."""
+def measure_end(q, q1, v, v1, u, m):
+    """Measure one of the periods that a verdict uses."""
     m[_END_MIN_V], m[_END_MAX_V] = min(m[_END_MIN_V], v1), max(m[_END_MAX_V], v1)
     m[_END_MIN_U], m[_END_MAX_U] = min(m[_END_MIN_U], u), max(m[_END_MAX_U], u)
     m[_END_TURNS] += 1.0 if v * v1 < 0.0 or (v != 0.0 and v1 == 0.0) else 0.0
@@ -117,8 +117,8 @@ def watched(q, q1, v, v1, u, m):
 
 
 @inlined
-def over(free, release_v, n, release, end, period, m):
-    """Finish: ``free`` (n + 1 - release,) are the positions [m] since the release, where the velocity was given."""
+def finish(free, release_v, n, release, end, period, m):
+    """Finish the measures: ``free`` (n + 1 - release,) [m] are the positions from the release on."""
     m[_END_SPEED] /= period * max(n - end, 1)
     m[_RELEASE_V] = release_v
     m[_DRIFT], m[_RATIO] = _drift(free, int(m[_MOVING]), period)
@@ -126,10 +126,10 @@ def over(free, release_v, n, release, end, period, m):
 
 @part
 def _drift(free, moving, period):
-    """Speed that the free motion tends to, from its steps over three equal spans (Aitken: exact for one decay).
+    """Return the limit of the free motion's speed [m/s] and the ratio of two changes of the speed.
 
-    And the ratio of two changes of the step. The first tenth is left out (filters settle). A negative product with the
-    direction of motion means that dry friction stops the carriage in finite time.
+    The limit is Aitken's from the speeds over three equal spans, exact for one exponential decay; a negative one means
+    that dry friction stops the carriage in finite time. The first tenth is skipped: filters settle.
     """
     skip = moving // 10
     span = (moving - skip) // 3
@@ -142,7 +142,7 @@ def _drift(free, moving, period):
     side = 1.0 if v1 >= 0.0 else -1.0
     first, second = v2 - v1, v3 - v2
     bend = second - first
-    # A change that is no share of the speed is rounding, and says nothing of growth.
+    # A change much smaller than the speed is rounding and no sign of growth.
     ratio = second / first if first != 0.0 and abs(second) > _CHANGE * abs(v3) else 0.0
     if abs(bend) > 1e-12 * (abs(v1) + abs(v3)):
         return side * (v3 - second * second / bend), ratio
@@ -150,8 +150,8 @@ def _drift(free, moving, period):
 
 
 @part
-def broken_off(limit, m):
-    """Measures of a run that could not be finished: unstable, and nothing else known."""
+def mark_unstable(limit, m):
+    """Fill the measures of a run that ended early: unstable, the voltage at its limit, the rest nan."""
     for i in range(MEASURES):
         m[i] = np.nan
     m[_DIVERGED], m[_PEAK_U] = 1.0, limit
@@ -159,10 +159,10 @@ def broken_off(limit, m):
 
 @dataclass(frozen=True)
 class Measures:
-    """What was measured on m simulated plants; every attribute is an array (m,).
+    """Measures of m simulated plants; every attribute is an array (m,).
 
-    ``step`` [m/s] is one encoder step a period, ``threshold`` [m/s] see ``drift_threshold``; ``expected`` [m/s] is the
-    speed that friction drives the free motion to, in closed form; ``integrates``: the law is a cascade.
+    ``step`` [m/s] is one encoder step per period, ``threshold`` [m/s] see ``drift_threshold``; ``expected`` [m/s] is
+    the speed to which friction drives the free motion, in closed form; ``integrates``: the law is a cascade.
     """
 
     raw: np.ndarray
@@ -180,11 +180,11 @@ class Measures:
     def verdict(self) -> np.ndarray:
         """Places in ``VERDICTS``.
 
-        Unstable: it diverged, ended against the voltage limit after the release, swung from limit to limit ten times
-        or more, or its free motion grows. Limit cycle: while the task is watched the velocity still takes both signs,
-        by two steps a period, or comes to zero ten times and goes either way; one way alone it creeps, by stick and
-        slip. No motion: the carriage stood when it was let go, and stayed. Then by the speed that free motion tends to,
-        which a cascaded loop, whose integral rules dry friction out, is not asked for.
+        Unstable: the run diverged, ended at the voltage limit after the release, swung from limit to limit ten times
+        or more, or its free motion grows. Limit cycle: in the watched samples the velocity still takes both signs, by
+        two encoder steps per period, or reaches zero ten times and takes both signs; with one sign alone it is
+        stick-slip creep. No motion: the carriage was at rest when released, and stayed there. Otherwise the limit of
+        the free motion's speed decides, except for a cascade, whose integral compensates dry friction.
         """
         low, high = -2.0 * self.step, 2.0 * self.step
         peak, back = (pick(self.end_max_v, -self.end_min_v) for pick in (np.maximum, np.minimum))
@@ -197,34 +197,34 @@ class Measures:
             unstable |= grows & ~cycle
         drift = self.tends_to
         creeping = ~self.at_rest & (drift > self.threshold) & ~self.wanders & ~self.integrates
-        found = {
+        outcomes = {
             "unstable": unstable,
             "limit_cycle": cycle,
             "no_motion": self.at_rest & (self.release_v == 0.0),
             "creeping": creeping,
             "dead_band": (drift < -self.threshold) & ~self.integrates,
         }
-        return np.select(list(found.values()), [VERDICTS.index(name) for name in found], 0)
+        return np.select(list(outcomes.values()), [VERDICTS.index(name) for name in outcomes], 0)
 
     @property
     def at_rest(self) -> np.ndarray:
-        """Whether the carriage stood while the task was watched."""
+        """Whether the carriage was at rest in the watched samples."""
         return (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
 
     @property
     def turned(self) -> np.ndarray:
-        """Whether it went on the other way after the release, as an axis does that a constant force pulls down."""
+        """Whether the motion reversed after the release, as on an axis that a constant force pulls down."""
         with np.errstate(invalid="ignore"):
             return (self.release_v * self.end_speed < 0.0) & ~self.at_rest
 
     @property
     def tends_to(self) -> np.ndarray:
-        """Speed [m/s] that free motion tends to, below zero where friction ends it; the watched one if it turned."""
+        """Speed [m/s] that free motion tends to, negative if friction ends it; the final one if the motion reversed."""
         return np.where(self.turned, np.abs(self.end_speed), self.drift)
 
     @property
     def wanders(self) -> np.ndarray:
-        """Whether it goes on at two encoder steps a period or less though no friction drives it: the encoder does."""
+        """Whether it keeps moving at up to two encoder steps per period, driven by the encoder and not by friction."""
         slow = (np.abs(self.tends_to) <= 2.0 * self.step) & (self.expected <= self.threshold)
         return ~self.at_rest & (self.tends_to > self.threshold) & slow & ~self.integrates
 

@@ -1,14 +1,10 @@
-"""Run a law through a task on an axis with all its effects: one with its whole trace, or many with their measures.
+"""Simulate a task under a law on an axis with all its effects: one run with its signals, or many with their measures.
 
-Impedance laws that differ in their estimates run side by side (:mod:`.lanes`) on an axis that is the friction plant;
-every other one, and one that lanes give up, is a run of the general stepper. Nothing is shared between plants, so the
-numbers are the same for any number of workers.
-
-Many impedance laws side by side, each on a carriage that is the friction plant with the operator's hand on it.
-
-The kernels are those of a run alone (:mod:`~emps_design.simulation.kernels.hold_loop`): law, hand, motion, measures.
-All lanes go through a period in one vector loop; one in which the carriage stops or starts within the period is stepped
-again alone. Lanes never share anything, so the numbers of a law do not depend on its neighbours.
+Impedance laws that differ in their estimates run in parallel lanes (:mod:`~emps_design.simulation.kernels.lanes`) if
+the axis is the friction plant with the operator's hand on it. All lanes step a period in one vector loop; a lane whose
+carriage stops or starts within the period is stepped again alone. Every other law, and one that the lanes give up, runs
+in the general stepper (:mod:`~emps_design.simulation.kernels.hold_loop`), with the same kernels of law, hand, motion
+and measures. Plants share nothing, so the numbers depend neither on the neighbours nor on the number of workers.
 """
 
 from __future__ import annotations
@@ -25,13 +21,13 @@ from emps_design.axis import Axis
 from emps_design.comanipulation.measures import (
     MEASURES,
     Measures,
-    broken_off,
-    in_hand,
-    let_go,
+    finish,
+    mark_unstable,
     measure,
-    nothing,
-    over,
-    watched,
+    measure_end,
+    measure_free,
+    measure_guided,
+    reset,
 )
 from emps_design.comanipulation.task import Task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
@@ -61,17 +57,17 @@ ROWS = 14 + OWN + WAITING + MEASURES
 _DELAY, _RATE, _TAPS, _REFERENCE = DELAY - OWN, RATE - OWN, TAPS - OWN, REFERENCE_VELOCITY - OWN
 _hand_force, _law = built_in(hand_force), built_in(impedance)
 
-# Rows of the table of hooks that change what comes to the motion and what is seen of it.
+# Rows of the table of hooks that change the force on the motion or its measurement.
 AROUND = (motion.COMMAND, motion.ACTUATOR, motion.DELAY, motion.SENSOR, motion.TOUCH)
 BLOCK = 256  # plants a worker takes at a time; no number depends on it
 
 
-# The cascaded loop of Fig. 4 with a force sensor, by its parameters, beside the impedance law.
+# The impedance law, or the parameters of the cascaded loop of Fig. 4 with a force sensor.
 Law = ImpedanceLaw | ip_velocity.Table
 
 
 @inlined
-def _ask(k, reference, q, force, limit, own, at_once, memory):
+def _voltage(k, reference, q, force, limit, own, at_once, memory):
     """Voltage of one law at sample ``k``."""
     gains = (own[0], own[1], own[2], own[3], own[4], own[5], own[6], own[7], *at_once)
     return _law(k, reference, q, force, limit, gains, memory)
@@ -79,21 +75,21 @@ def _ask(k, reference, q, force, limit, own, at_once, memory):
 
 @cached()
 def run_lanes(
-    own, common, baseline, settings, start, reference, push, hand, wish, turns, release, end, scratch, free, found,
+    own, common, baseline, settings, start, reference, push, hand, wish, turns, release, end, scratch, free, tally,
     measures,
 ):  # fmt: skip
     """Run the laws with gains ``own`` (m, OWN) and ``common``, m a multiple of LANES; fill ``measures`` (m, MEASURES).
 
-    What the law commands arrives at once; ``start`` = (q0, v0). ``hand`` (n, 6) are the parameters of the hand's force
-    at each sample; the rest as in :func:`~emps_design.comanipulation.measures.measure`. ``scratch`` has ROWS rows,
-    ``free`` one for each sample from the release on and one more; ``found`` two zeros: no event is kept. A law whose
-    voltage reaches the limit, or whose carriage leaves every bound, gets nan: what then happens, lanes do not look for.
+    Commands act without delay; ``start`` = (q0, v0). ``hand`` (n, 6) are the parameters of the hand's force at each
+    sample; the rest as in :func:`~emps_design.comanipulation.measures.measure`. ``scratch`` has ROWS rows, ``free`` one
+    for each sample from the release on and one more; ``tally`` two zeros: no event is recorded. A law whose voltage
+    reaches the limit, or whose carriage leaves every bound, gets nan: lanes do not simulate what follows.
     """
-    rows, places, kept = pointer(scratch), pointer(free), pointer(found)
+    rows, places, kept = pointer(scratch), pointer(free), pointer(tally)
     q, v, tau, q1, v1, tau1 = row(rows, 0), row(rows, 1), row(rows, 2), row(rows, 3), row(rows, 4), row(rows, 5)
     u, command, force, release_v = row(rows, 6), row(rows, 7), row(rows, 8), row(rows, 9)
     stops, lost, encoder, gains = row(rows, 10), row(rows, 11), row(rows, 12), row(rows, 13)
-    memory, seen_so_far = row(gains, OWN), row(gains, OWN + WAITING)
+    memory, sums = row(gains, OWN), row(gains, OWN + WAITING)
     period, limit, resolution, gain = settings[PERIOD], settings[LIMIT], settings[RESOLUTION], settings[GAIN]
     friction = friction_of(pointer(baseline), pointer(settings))
     mass, viscous_p, viscous_n, _, _, lag = friction
@@ -110,7 +106,7 @@ def run_lanes(
                 g[j] = own[block + i, j]
             for j in range(WAITING):
                 m[j] = 0.0
-            nothing(n, release, lane(seen_so_far, i))
+            reset(n, release, lane(sums, i))
         for k in range(n):
             t, pushed, meant = k * period, push[k], wish[k]
             grip = (hand[k, 0], hand[k, 1], hand[k, 2], hand[k, 3], hand[k, 4], hand[k, 5])
@@ -119,10 +115,10 @@ def run_lanes(
                 encoder[i] = encoded(q[i], resolution)
             if k == 0:  # apart: a loop that may set memories up again writes every one of them under a mask
                 for i in range(LANES):
-                    u[i] = _ask(k, reference, encoder[i], force[i], limit, lane(gains, i), at_once, lane(memory, i))
+                    u[i] = _voltage(k, reference, encoder[i], force[i], limit, lane(gains, i), at_once, lane(memory, i))
             else:
                 for i in range(LANES):
-                    u[i] = _ask(k, reference, encoder[i], force[i], limit, lane(gains, i), at_once, lane(memory, i))
+                    u[i] = _voltage(k, reference, encoder[i], force[i], limit, lane(gains, i), at_once, lane(memory, i))
             eventful = 0
             for i in range(LANES):
                 command[i] = gain * u[i]
@@ -140,27 +136,27 @@ def run_lanes(
             if k < release:
                 turn = (turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3])
                 for i in range(LANES):
-                    in_hand(q[i], q1[i], v[i], v1[i], u[i], force[i], meant, turn, period, lane(seen_so_far, i))
+                    measure_guided(q[i], q1[i], v[i], v1[i], u[i], force[i], meant, turn, period, lane(sums, i))
             else:
                 for i in range(LANES):
                     row(places, k - release)[i] = q[i]
                     release_v[i] = v[i] if k == release else release_v[i]
-                    let_go(v1[i], u[i], k, n, release, lane(seen_so_far, i))
+                    measure_free(v1[i], u[i], k, n, release, lane(sums, i))
             if k >= end:
                 for i in range(LANES):
-                    watched(q[i], q1[i], v[i], v1[i], u[i], lane(seen_so_far, i))
-            left = 0
+                    measure_end(q[i], q1[i], v[i], v1[i], u[i], lane(sums, i))
+            running = 0
             for i in range(LANES):
                 well = lost[i] == 0.0 and abs(u[i]) < limit and abs(q1[i]) < 1e3 and abs(v1[i]) < 1e3
                 lost[i] = 0.0 if well else 1.0
-                left += 1 if well else 0
+                running += 1 if well else 0
                 q[i], v[i], tau[i] = q1[i], v1[i], tau1[i]
-            if left == 0:
+            if running == 0:
                 break
         for i in range(LANES):
-            m = lane(seen_so_far, i)
+            m = lane(sums, i)
             row(places, n - release)[i] = q[i]
-            over(lane(places, i), release_v[i], n, release, end, period, m)
+            finish(lane(places, i), release_v[i], n, release, end, period, m)
             for j in range(MEASURES):
                 measures[block + i, j] = m[j] if lost[i] == 0.0 else np.nan
 
@@ -169,7 +165,7 @@ def run_lanes(
 class TaskRun:
     """One simulated task: ``t`` [s], ``q`` [m], ``v`` [m/s], ``tau_e`` [N], ``u`` [V], ``encoder`` [m], each (n,).
 
-    Where the simulation found the loop unstable and gave up, the signals end there.
+    The signals end early if the simulation stopped because the loop is unstable.
     """
 
     t: np.ndarray
@@ -187,7 +183,7 @@ class TaskRun:
 
 
 def run_task(axis: Axis, law: Law, task: Task) -> TaskRun:
-    """Simulate ``law`` on ``axis`` with all its effects through ``task``, and keep the whole trace.
+    """Simulate ``task`` under ``law`` on ``axis`` with all its effects, and keep the signals.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -205,11 +201,11 @@ def run_task(axis: Axis, law: Law, task: Task) -> TaskRun:
 def run_many(
     axis: Axis, laws: Sequence[Law], task: Task, workers: int = 1, progress: Any = None, machine: Axis | None = None
 ) -> Measures:
-    """Simulate every one of ``laws`` on ``axis`` with all its effects through ``task``; what was measured, law by law.
+    """Simulate ``task`` under each of ``laws`` on ``axis`` with all its effects; return the measures, a row per law.
 
-    They are of one kind; an impedance law whose estimate holds arrays (m,) is m laws. ``machine`` is the axis as it
-    really is, where it is not the one that the laws were set up for.
-    ``workers`` threads; the numbers do not depend on it. ``progress(stage, fraction)`` is called as blocks finish.
+    The laws are of one kind; an impedance law whose estimate holds arrays (m,) counts as m laws. ``machine`` is the
+    real axis if it differs from the one that the laws were designed for. ``workers`` is the number of threads, which
+    does not change the numbers. ``progress(stage, fraction)`` is called as blocks finish.
     """
     setup = Setup.of(axis, laws, task, machine)
     gains, m = setup.law.gains, len(setup.law.gains)
@@ -225,7 +221,7 @@ def run_many(
 
 
 def in_threads(work: Callable[[Any], Any], parts: Sequence[Any], workers: int) -> Iterator[Any]:
-    """What ``work`` makes of each of the ``parts``, in their order, by ``workers`` threads."""
+    """Yield ``work(part)`` for each of the ``parts``, in order, computed by ``workers`` threads."""
     if workers == 1 or len(parts) == 1:
         return map(work, parts)
     from joblib import Parallel, delayed
@@ -244,7 +240,7 @@ class Setup:
 
     @classmethod
     def of(cls, axis: Axis, laws: Sequence[Law], task: Task, machine: Axis | None = None) -> Setup:
-        """Set ``laws`` up for ``axis``, and the operator at the ``machine``; :class:`InputError` for another period."""
+        """Prepare ``laws`` for ``axis`` and the plant of ``machine``; :class:`InputError` for a task's other period."""
         period = axis.sampling.period
         if task.period != period:
             raise InputError(
@@ -263,7 +259,7 @@ class Setup:
         n = len(task.push) + 1  # one sample more: the state in which the last period ends
         b, p = plant.numbers()
         ready = plant.prepared(b, p, 0.0, 0.0, n, sampling.period, sampling.encoder_resolution, wish)
-        law = replace(compiled[0], gains=np.vstack([one.gains for one in compiled]))
+        law = replace(compiled[0], gains=np.vstack([law.gains for law in compiled]))
         return cls(law, getattr(laws[0], "rest_position", 0.0), task, ready)
 
     @cached_property
@@ -287,7 +283,7 @@ class Setup:
         return raw
 
     def side_by_side(self, gains: np.ndarray) -> np.ndarray:
-        """The same with nan for the laws that lanes give up."""
+        """Measures (m, MEASURES) from the lanes, nan for the laws that they give up."""
         ready, task, m = self.ready, self.task, len(gains)
         own = np.concatenate([gains[:, :OWN], np.repeat(gains[:1, :OWN], -m % LANES, axis=0)])
         hand = ready.columns if ready.columns.size else np.zeros((len(task.push), len(HAND.parameters)))
@@ -300,7 +296,7 @@ class Setup:
         return raw[:m]
 
     def alone(self, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Measures, the signals of the last run, and how many samples of them are good."""
+        """Measures (m, MEASURES), the signals (5, n) of the last run, and how many of their samples are valid."""
         ready, task = self.ready, self.task
         n = len(task.push) + 1
         raw, out = np.empty((len(gains), MEASURES)), np.empty((5, n))
@@ -318,26 +314,26 @@ def run_block(
     parameters, baseline, settings, y0, hooks, starts, columns, slots, floors, scratch, law, gains, memory, reference,
     push, wish, turns, release, end, out, measures,
 ):  # fmt: skip
-    """Run one plant for each row of ``parameters`` and ``gains``; returns the number of good samples of the last."""
-    y, none, noted, found = y0.copy(), np.zeros(0), np.zeros((0, 3)), np.zeros(2, np.int64)
+    """Run one plant for each row of ``parameters`` and ``gains``; return the number of valid samples of the last."""
+    y, none, noted, tally = y0.copy(), np.zeros(0), np.zeros((0, 3)), np.zeros(2, np.int64)
     good, steady, period, limit = 0, np.zeros((0, 2)), settings[motion.PERIOD], settings[motion.LIMIT]
     for i in range(gains.shape[0]):
         y[:] = y0
         memory[:] = 0.0
-        found[0] = 0
+        tally[0] = 0
         status, good, _ = run_samples(
             (baseline, hooks, starts, parameters[i], settings), y, law, gains[i : i + 1], memory, reference, push, none,
-            steady, columns, slots, floors, scratch, out, noted, found,
+            steady, columns, slots, floors, scratch, out, noted, tally,
         )  # fmt: skip
         if status == DONE:
             measure(out[1], out[2], out[3], out[4], wish, turns, limit, period, release, end, measures[i])
         else:
-            broken_off(limit, measures[i])
+            mark_unstable(limit, measures[i])
     return good
 
 
 def _measures(axis: Axis, laws: Sequence[Law], raw: np.ndarray) -> Measures:
-    """``raw`` with what is expected of each law: how fast friction drives it, and what of that is too slow to show."""
+    """``raw`` with each law's expected speed under friction and the speed below which the encoder hides a drift."""
     period, resolution, plant = axis.sampling.period, axis.sampling.encoder_resolution, FrictionModel.of(axis)
     known = []
     for law in laws:

@@ -1,6 +1,6 @@
-"""The co-manipulation scenario: an operator guides the carriage under the impedance law, then lets it go.
+"""The co-manipulation scenario: an operator guides the carriage under the impedance law, then releases it.
 
-The paper's point, side by side: without a force sensor the operator pushes harder.
+:func:`compare_sensors` shows the paper's point: without a force sensor the operator pushes harder.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from emps_design.progress import Progress
 from emps_design.quantities import one_two_five
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
-OF_MASS = 115.7315  # kg, of the carriage there
-FOLLOWED = 0.95  # r2 of the force by mass and damping, below which the fit is said to be a poor one
+OF_MASS = 115.7315  # kg, mass of their carriage
+FOLLOWED = 0.95  # r2 of the force fitted by mass and damping; a warning calls a lower one a poor fit
 
 NO_SENSOR, SENSOR, CASCADE = "impedance, no sensor", "impedance, force sensor", "cascade, force sensor"
 
@@ -31,8 +31,8 @@ NO_SENSOR, SENSOR, CASCADE = "impedance, no sensor", "impedance, force sensor", 
 class Comanipulation:
     """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law.
 
-    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``taken`` says what of the law
-    was not asked for.
+    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``taken`` names the parameters
+    of the law that are defaults.
     """
 
     assessment: ImpedanceAssessment
@@ -48,10 +48,10 @@ class Comanipulation:
     def to_dict(self) -> dict[str, Any]:
         """Keys of the contract, and under ``study`` all of the mismatch study.
 
-        ``verdict`` is that of the worst plant tried, ``nominal_verdict`` that without mismatch; ``transparency`` is
+        ``verdict`` is that of the worst plant, ``nominal_verdict`` that without mismatch; ``transparency`` is
         the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force over velocity at the frequencies
         of the task (:mod:`.measures`), r2 about zero, and error, the rms relative error of the impedance over
-        0-20 rad/s. A law that is unstable or swings adds reason and nearest. ``asked`` has M_a and B of the law.
+        0-20 rad/s. A law that is unstable or swings adds reason and nearest. ``asked`` holds M_a and B of the law.
         """
         exact = self.nominal.plant(0)
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
@@ -97,14 +97,14 @@ def run_comanipulation(
 ) -> Comanipulation:
     """Simulate the co-manipulation task on ``axis`` with estimates off by up to ``mismatch``.
 
-    M_a [kg] and B [N/(m/s)] come from the arguments, else from the axis's impedance controller, else they are those of
-    :func:`usual_law`, and a warning says so. A compliant hand guides the carriage; ``force`` [N] pushes it to and fro
+    M_a [kg] and B [N/(m/s)] come from the arguments, else from the axis's impedance controller, else from
+    :func:`usual_law`, with a warning. A compliant hand guides the carriage; with ``force`` [N] it is pushed to and fro
     instead. ``duration`` [s] is by default what the slowest mode needs (:func:`fitted_task`). ``options`` go to
     :class:`ImpedanceLaw` (force_sensor, coulomb_factor, ...).
 
     >>> from emps_design.machines import machine
-    >>> found = run_comanipulation(machine("emps2018"), mismatch=0.02, plants=0).to_dict()
-    >>> found["verdict"], round(found["transparency"]["apparent_mass"])
+    >>> document = run_comanipulation(machine("emps2018"), mismatch=0.02, plants=0).to_dict()
+    >>> document["verdict"], round(document["transparency"]["apparent_mass"])
     ('creeping', 50)
     """
     controller, (usual_mass, usual_damping) = axis.controller, usual_law(axis)
@@ -134,7 +134,7 @@ def run_comanipulation(
 
 
 def usual_law(axis: Axis) -> tuple[float, float]:
-    """M_a [kg] and B [N/(m/s)] to begin with: those of the paper's experiments, sized by the mass of ``axis``.
+    """Return default M_a [kg] and B [N/(m/s)]: those of the paper's experiments, scaled by the mass of ``axis``.
 
     >>> from emps_design.machines import machine
     >>> usual_law(machine("emps2018")), usual_law(machine("emps2018").replace(mechanics={"mass": 0.3}))
@@ -145,7 +145,7 @@ def usual_law(axis: Axis) -> tuple[float, float]:
 
 
 def _followed(exact: dict[str, Any]) -> str:
-    """In words that mass and damping do not tell the guided motion of the exact law; empty where they do."""
+    """Return a warning if mass and damping fit the guided motion of the exact law poorly; empty otherwise."""
     if not exact["r2"] < FOLLOWED:
         return ""
     return (
@@ -159,33 +159,33 @@ def _followed(exact: dict[str, Any]) -> str:
 class SensorComparison:
     """The same hand on the same plant under three laws; ``runs[law][scale]``.
 
-    ``scale`` 1 is a movement over +-120 mm, 0.1 a fine one over +-12 mm. ``break_away`` [N] is what sets a resting
-    carriage in motion: nothing definite for the cascade, whose integral breaks it away in time.
+    ``scale`` 1 is a movement over +-120 mm, 0.1 a fine one over +-12 mm. ``break_away`` [N] is the force that starts a
+    resting carriage: None for the cascade, whose integral breaks it away in time.
     """
 
     runs: dict[str, dict[float, TaskRun]]
     break_away: dict[str, float | None]
 
     def to_dict(self) -> dict[str, Any]:
-        """Per law the break-away force [N], and per movement effort, tracking error and what was felt."""
-        found: dict[str, Any] = {}
+        """Per law the break-away force [N], and per movement effort, tracking error and apparent impedance."""
+        document: dict[str, Any] = {}
         for name, by_scale in self.runs.items():
             moves = []
-            for scale, one in by_scale.items():
-                mass, damping, r2 = (float(values[0]) for values in one.measures.fit)
+            for scale, run in by_scale.items():
+                mass, damping, r2 = (float(values[0]) for values in run.measures.fit)
                 moves.append(
                     {
                         "amplitude": 0.12 * scale,
-                        "verdict": one.verdict,
-                        "peak_voltage": float(one.measures.peak_u[0]),
+                        "verdict": run.verdict,
+                        "peak_voltage": float(run.measures.peak_u[0]),
                         "apparent_mass": mass,
                         "apparent_damping": damping,
                         "r2": r2,
-                        **{key: float(values[0]) for key, values in one.measures.effort.items()},
+                        **{key: float(values[0]) for key, values in run.measures.effort.items()},
                     }
                 )
-            found[name] = {"break_away": self.break_away[name], "movements": moves}
-        return found
+            document[name] = {"break_away": self.break_away[name], "movements": moves}
+        return document
 
 
 def compare_sensors(
@@ -195,15 +195,15 @@ def compare_sensors(
     phase_margin_deg: float = 60.0,
     scales: tuple[float, ...] = (1.0, 0.1),
 ) -> SensorComparison:
-    """Run ``law`` without and with a force sensor, and the cascade of section II-C with ``k_e1 = 1/B`` beside them.
+    """Run ``law`` without and with a force sensor, and for comparison the cascade of section II-C with ``k_e1 = 1/B``.
 
-    The cascade has crossover [rad/s] and phase margin [deg] of the paper's velocity loop; it is left out for B = 0.
+    The cascade has crossover [rad/s] and phase margin [deg] of the paper's velocity loop; there is none for B = 0.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
     >>> axis = machine("emps2018")
-    >>> found = compare_sensors(axis, impedance_law(axis, 50.0, 100.0), scales=(0.1,)).to_dict()
-    >>> found[SENSOR]["movements"][0]["rms_force"] < found[NO_SENSOR]["movements"][0]["rms_force"]
+    >>> document = compare_sensors(axis, impedance_law(axis, 50.0, 100.0), scales=(0.1,)).to_dict()
+    >>> document[SENSOR]["movements"][0]["rms_force"] < document[NO_SENSOR]["movements"][0]["rms_force"]
     True
     """
     plant = FrictionModel.of(axis)
@@ -211,7 +211,7 @@ def compare_sensors(
         NO_SENSOR: replace(law, force_sensor=False),
         SENSOR: replace(law, force_sensor=True),
     }
-    forces: dict[str, float | None] = {name: break_away(one, plant) for name, one in laws.items()}
+    forces: dict[str, float | None] = {name: break_away(variant, plant) for name, variant in laws.items()}
     if law.damping > 0.0:
         loop = equivalent_impedance(axis, 1.0 / law.damping, crossover, phase_margin_deg)
         if loop.k_v1 is not None and loop.t_v is not None:
@@ -220,5 +220,7 @@ def compare_sensors(
             )
             forces[CASCADE] = None
     tasks = {scale: guided_task(axis.sampling.period, scale=scale) for scale in scales}
-    runs = {name: {scale: run_task(axis, one, task) for scale, task in tasks.items()} for name, one in laws.items()}
+    runs = {
+        name: {scale: run_task(axis, variant, task) for scale, task in tasks.items()} for name, variant in laws.items()
+    }
     return SensorComparison(runs, forces)

@@ -26,7 +26,7 @@ from emps_design.laws.friction_model import PARAMETERS
 from emps_design.progress import Progress
 
 MOST = 1_000_000  # plants; more would not fit into memory
-TOGETHER = 2_500  # plants whose poles are computed in one call, which hears no interrupt
+TOGETHER = 2_500  # plants whose poles are computed in one call, which cannot be interrupted
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
 ALIKE = [0, 1, 1, 2, 2]  # places of errors of mass, viscous and Coulomb friction that are the same either way
 BOUNDED = (*CALM, "creeping")  # neither a limit cycle nor unstable
@@ -73,7 +73,7 @@ class MismatchStudy:
 
     @property
     def split(self) -> bool:
-        """Whether friction errs apart in either direction."""
+        """Whether the friction of each direction has its own error."""
         return self.corners > 8
 
     @property
@@ -91,8 +91,8 @@ class MismatchStudy:
     def stable_share(self) -> tuple[float, float, float]:
         """Share of plants that come to rest after the release, with its 95 % Clopper-Pearson interval.
 
-        Neither unstable nor in a limit cycle, nor creeping; a plant that never moved does not count as stable. Of the
-        Monte-Carlo plants; of the corners, without an interval, where no plants were drawn.
+        They are neither unstable nor in a limit cycle nor creeping; a plant that never moved does not count as stable.
+        The share is that of the Monte-Carlo plants; of the corners, without an interval, if no plants were drawn.
         """
         return self._share(CALM)
 
@@ -135,7 +135,7 @@ class MismatchStudy:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is not a number in :meth:`to_dict`, and why."""
+        """Warnings: undefined numbers in :meth:`to_dict` and why, and worse verdicts beyond the mismatch."""
         words = list(self.task.warnings)
         if not self.plants:
             words.append(
@@ -160,7 +160,11 @@ class MismatchStudy:
                 "encoder's steps do"
             )
         here = int(self.verdict.max())
-        worse = [f"{one['what']}: {one['verdict']}" for one in self.beyond if VERDICTS.index(one["verdict"]) > here]
+        worse = [
+            f"{change['what']}: {change['verdict']}"
+            for change in self.beyond
+            if VERDICTS.index(change["verdict"]) > here
+        ]
         if worse:
             words.append(f"worse than within the mismatch, with the rest of the machine as it is: {'; '.join(worse)}")
         return tuple(words)
@@ -214,11 +218,11 @@ def mismatch_study(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> MismatchStudy:
-    """Try ``law`` with estimates off by up to ``mismatch``: every corner, and ``plants`` drawn with ``seed``.
+    """Simulate ``law`` with estimates off by up to ``mismatch``: every corner, and ``plants`` drawn with ``seed``.
 
-    ``two_quadrant`` lets the five numbers of (5) err apart (None: where the axis's friction differs by direction); such
-    plants are let go moving either way, and each is judged by the worse of the two runs.
-    ``workers`` threads change the time, not the numbers.
+    ``two_quadrant`` gives each of the five parameters of (5) its own error (None: if the axis's friction differs by
+    direction); such plants are released in either direction, and each is judged by the worse of the two runs.
+    The number of ``workers`` changes the time, not the result. Raises :class:`InputError` for a number out of range.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -257,9 +261,9 @@ def mismatch_study(
 
 
 def run_worst(axis: Axis, study: MismatchStudy) -> TaskRun:
-    """The run of the worst plant of a ``study`` of ``axis``, the way round that its verdict is of.
+    """Return the run of the worst plant of a ``study`` of ``axis``, in the direction that decided its verdict.
 
-    Where the poles alone are unstable it may end before that shows.
+    If only its poles are unstable, the run may end before that shows.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -272,19 +276,19 @@ def run_worst(axis: Axis, study: MismatchStudy) -> TaskRun:
     if run.verdict == VERDICTS[study.measures.verdict[study.worst]]:
         return run
     other = run_task(axis, law, study.task.reversed)
-    return max(run, other, key=lambda one: VERDICTS.index(one.verdict))
+    return max(run, other, key=lambda run: VERDICTS.index(run.verdict))
 
 
 def _judged(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.ndarray:
-    """Error of the apparent impedance and largest pole modulus (2, m) of ``laws``, in the worse of the directions."""
+    """Error of the apparent impedance and largest pole modulus of ``laws``, (2, m), in the worse direction."""
     clock, plant = Clock.of(axis), FrictionModel.of(axis)
     options: dict[str, Any] = {"velocity_estimator": laws.velocity_estimator, "force_sensor": laws.force_sensor}
-    found = []
+    rows = []
     for direction in directions:
         n = numbers(laws, plant, direction)
         loops = sampled_loops(n, clock, **options)
-        found.append([impedance_error(loops, n), radius_of(loops)])
-    return np.max(found, axis=0)
+        rows.append([impedance_error(loops, n), radius_of(loops)])
+    return np.max(rows, axis=0)
 
 
 def box_of(corners: list[dict[str, float]]) -> np.ndarray:
@@ -294,12 +298,12 @@ def box_of(corners: list[dict[str, float]]) -> np.ndarray:
 
 
 def with_errors(law: ImpedanceLaw, errors: np.ndarray) -> ImpedanceLaw:
-    """As many laws as there are rows of ``errors`` (m, 5), in the order of ``PARAMETERS``."""
+    """Return ``law`` as m laws, one per row of relative ``errors`` (m, 5), in the order of ``PARAMETERS``."""
     return law.with_errors(dict(zip(PARAMETERS, errors.T, strict=True)))
 
 
 def _beyond(axis: Axis, laws: ImpedanceLaw, task: Task) -> tuple[dict[str, str], ...]:
-    """Worst verdict of ``laws`` on machines that differ from ``axis`` in one thing that the law does not know of."""
+    """Worst verdict of ``laws`` on machines that differ from ``axis`` in one property that the law does not know."""
     drive, sampling = axis.drive, axis.sampling
     lag = drive.current_time_constant
     lagged = {"drive": {"current_time_constant": 2.0 * lag if lag > 0.0 else 0.5 * sampling.period}}
@@ -308,11 +312,11 @@ def _beyond(axis: Axis, laws: ImpedanceLaw, task: Task) -> tuple[dict[str, str],
         "one more sample of delay": {"sampling": {"computation_delay": sampling.computation_delay + 1}},
         "encoder steps ten times as large": {"sampling": {"encoder_resolution": 10.0 * sampling.encoder_resolution}},
     }
-    found = []
+    outcomes = []
     for what, change in changes.items():
         verdicts = run_many(axis, [laws], task, machine=axis.replace(**change)).verdict
-        found.append({"what": what, "verdict": VERDICTS[int(verdicts.max())]})
-    return tuple(found)
+        outcomes.append({"what": what, "verdict": VERDICTS[int(verdicts.max())]})
+    return tuple(outcomes)
 
 
 def _one_quadrant(values: dict[str, float]) -> dict[str, float]:

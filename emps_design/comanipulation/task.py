@@ -1,4 +1,4 @@
-"""What the operator does: guide the carriage with a compliant hand, or push with a given force; then let go."""
+"""The operator's task: guide the carriage with a compliant hand, or push it with a set force; then release it."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ LONGEST = 400_000  # samples after the release
 class Task:
     """An operator's task, sampled with the controller.
 
-    ``push`` (n,) [N] is added by the operator, nothing from ``release`` on; ``wish`` (n,) [m] is where the hand means
-    to be, nan from ``release`` on. ``hand``: its stiffness [N/m] and damping [N/(m/s)]; the force it makes is held over
-    each period. The carriage is let go at sample ``release``; verdicts look at the samples from ``end`` on.
+    ``push`` (n,) [N] is the operator's force, zero from ``release`` on; ``wish`` (n,) [m] is the position that the hand
+    aims at, nan from ``release`` on. ``hand``: its stiffness [N/m] and damping [N/(m/s)]; its force is held over each
+    period. The carriage is released at sample ``release``; verdicts use the samples from ``end`` on.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Task:
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """What the operator does, SI."""
+        """The operator's task, SI units."""
         wish = self.wish[: self.release]
         return {
             "name": self.name,
@@ -70,7 +70,7 @@ class Task:
 
     @property
     def reversed(self) -> Task:
-        """The same task the other way round."""
+        """The same task in the opposite direction."""
         return replace(self, push=-self.push, wish=-self.wish)
 
     @property
@@ -93,12 +93,13 @@ def guided_task(
     free: float | None = None,
     watched: float | None = None,
 ) -> Task:
-    """A hand of stiffness 1000 N/m and damping 100 N/(m/s) guides the carriage over +-0.12 m, and lets go in motion.
+    """Return a task in which a hand guides the carriage over +-0.12 m and releases it in motion.
 
-    The wish is 0.10 m at about 0.4 Hz plus 0.02 m at about 1 Hz, times ``scale``, faded in over half a second, with
-    whole periods up to the release at half of ``duration`` [s], where it is fastest; the effort is whatever the law
-    makes it. ``free`` [s] follow, by default the other half; a verdict looks at the last ``watched`` [s], by default a
-    tenth of ``duration``. :func:`fitted_task` chooses all this for an axis and a law.
+    ``hand`` is its stiffness [N/m] and damping [N/(m/s)]. It aims at 0.10 m at about 0.4 Hz plus 0.02 m at about 1 Hz,
+    times ``scale``, faded in over half a second, with whole periods up to the release at half of ``duration`` [s],
+    where the carriage is fastest; the force follows from the law. Free motion of ``free`` [s] follows, by default the
+    other half; a verdict uses the last ``watched`` [s], by default a tenth of ``duration``. :func:`fitted_task` chooses
+    all this for an axis and a law. Raises :class:`InputError` for a scale that is not above 0.
     """
     if not np.isfinite(scale) or scale <= 0.0:
         raise InputError(f"scale: found {scale:g}, expected a number above 0")
@@ -115,7 +116,7 @@ def guided_task(
 
 
 def periods_of(until: float) -> tuple[int, int]:
-    """Whole periods of the two frequencies of a task of ``until`` seconds: of about 0.4 and 1 Hz, at least one.
+    """Whole periods of the two frequencies, about 0.4 and 1 Hz, in a task of ``until`` seconds; at least one of each.
 
     >>> periods_of(5.0)
     (2, 5)
@@ -131,9 +132,10 @@ def pushed_task(
     free: float | None = None,
     watched: float | None = None,
 ) -> Task:
-    """Pushes of ``force`` [N] to and fro with 0.25 s ramps, the last one ending at half time, as in Fig. 12.
+    """Return a task of pushes of ``force`` [N] to and fro with 0.25 s ramps, the last ending at half time (Fig. 12).
 
     The force must exceed the break-away force, or nothing moves: the law compensates no Coulomb friction at rest.
+    Raises :class:`InputError` for a force that is not above 0.
     ``free`` and ``watched`` [s] as in :func:`guided_task`.
     """
     if not np.isfinite(force) or force <= 0.0:
@@ -153,18 +155,18 @@ def fitted_task(
     force: float | None = None,
     hand: tuple[float, float] | None = None,
 ) -> Task:
-    """Return a task that ``law`` on ``axis`` can be judged by: a guided one, or pushes of ``force`` [N].
+    """Return a task suited to judge ``law`` on ``axis``: a guided one, or pushes of ``force`` [N].
 
-    The hand is strong enough to break the carriage away and to lead the apparent mass, soft enough for a light one
-    (:func:`fitted_hand`; ``hand`` sets it). After the release there is time for eight time constants of the slowest
-    pole at the corners of ``mismatch``, and a verdict looks at three periods of the slowest oscillation that the
-    describing function predicts there; 4 s and 1 s at least.
+    The hand is strong enough to break the carriage away and to lead the apparent mass, and soft enough for a light
+    carriage (:func:`fitted_hand`; ``hand`` sets it). The free motion lasts eight time constants of the slowest pole at
+    the corners of ``mismatch``, and a verdict uses three periods of the slowest oscillation that the describing
+    function predicts there; at least 4 s and 1 s.
 
     >>> from emps_design.control.impedance.law import impedance_law
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2018")
-    >>> found = fitted_task(axis, impedance_law(axis, 50.0, 100.0)).to_dict()
-    >>> found["hand"], round(found["duration"])
+    >>> task = fitted_task(axis, impedance_law(axis, 50.0, 100.0)).to_dict()
+    >>> task["hand"], round(task["duration"])
     ({'stiffness': 1000.0, 'damping': 100.0}, 10)
     """
     period = axis.sampling.period
@@ -191,9 +193,9 @@ def fitted_task(
 
 
 def usual_scale(axis: Axis) -> float:
-    """How often the 0.12 m of the guided task is its travel on ``axis``: once, or 0.6 rad of a rotary one.
+    """Scale of the 0.12 m travel of the guided task on ``axis``: 1, or 5 on a rotary one, which makes it 0.6 rad.
 
-    A travel so small that breaking away is most of it says nothing about the apparent inertia.
+    If most of the travel were break-away, the motion would not show the apparent inertia.
     """
     return TURN if axis.units.rotary else 1.0
 
@@ -201,10 +203,10 @@ def usual_scale(axis: Axis) -> float:
 def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], float]:
     """Return a hand (stiffness [N/m], damping [N/(m/s)]) for ``law`` on ``axis``, and the share of the 0.12 m it moves.
 
-    1000 N/m and 100 N/(m/s) where they do. Stiffer where three times the break-away force or the apparent impedance at
-    the pace of the movement asks for it; softer for a light carriage, which a force held for a period would swing, and
-    where the loop with the hand is unstable. The travel is that of :func:`usual_scale`, and shrinks
-    where the motor would reach its limit.
+    1000 N/m and 100 N/(m/s) by default. Stiffer if three times the break-away force or the apparent impedance at the
+    frequency of the movement requires it; softer for a light carriage, which a force held for a period would set
+    swinging, and while the loop with the hand is unstable. The travel is that of :func:`usual_scale`, less if the motor
+    would reach its limit.
     """
     length = usual_scale(axis)
     plant, period = FrictionModel.of(axis), axis.sampling.period
@@ -226,7 +228,7 @@ def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], flo
 
 
 def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, float]:
-    """Time [s] in which the released carriage calms down, and time over which a limit cycle shows."""
+    """Return the settling time of the released carriage and the time in which a limit cycle shows, both [s]."""
     plant, clock = FrictionModel.of(axis), Clock.of(axis)
     corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
     together, decay = law.with_errors(stacked(corners)), math.inf
@@ -237,7 +239,7 @@ def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, flo
         if inside.size:
             decay = min(decay, -math.log(inside.max()) / clock.period)
     oscillations = relay_oscillations(together, plant, clock)
-    slowest = min((one[0] for one in oscillations if one is not None), default=math.inf)
+    slowest = min((oscillation[0] for oscillation in oscillations if oscillation is not None), default=math.inf)
     return max(CALMING, DECAYS / decay), max(WATCHED, CYCLES * 2.0 * math.pi / slowest)
 
 

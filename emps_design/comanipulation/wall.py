@@ -1,11 +1,8 @@
-"""A push into a wall under an impedance law: rest or bouncing, and the stiffest wall that the law bears.
+"""Contact with a wall under an impedance law: rest or bouncing, and the stiffest wall with which the axis is stable.
 
-A push into a wall under an impedance law: does the carriage come to rest against it, or bounce for ever?
-
-The stiffest wall that a law bears with all that makes it cycle: Coulomb compensation, encoder, and mismatch.
-
-The poles of the loop in contact give one limit. Below it the Coulomb compensation, a relay, can keep up an oscillation:
-the describing function predicts it, and a simulation of the whole axis pressed against the wall decides.
+The poles of the loop in contact give one limit. Below it the Coulomb compensation, a relay, can sustain an oscillation,
+as can the encoder and a mismatch: the describing function predicts it, and a simulation of the whole axis pressed
+against the wall decides.
 """
 
 from __future__ import annotations
@@ -44,7 +41,7 @@ class WallContact:
     """A push of ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], let go at ``release`` [s].
 
     ``t`` [s], ``q`` [m], ``v`` [m/s], ``push`` [N], ``wall_force`` [N] (negative): arrays (n,),
-    empty where the simulation found the loop unstable and gave up; ``reason`` says so.
+    empty if the simulation stopped because the loop is unstable; ``reason`` says so.
     """
 
     force: float
@@ -60,12 +57,12 @@ class WallContact:
 
     @property
     def touched(self) -> bool:
-        """Whether the carriage came to the wall."""
+        """Whether the carriage reached the wall."""
         return bool(np.any(self.wall_force < 0.0))
 
     @property
     def peak_force(self) -> float | None:
-        """Largest force of the wall [N]; None where the simulation gave up."""
+        """Largest force of the wall [N]; None if the simulation stopped early."""
         return float(-self.wall_force.min()) if self.t.size else None
 
     @property
@@ -162,7 +159,7 @@ class WallLimit:
 
 
 def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimit | None:
-    """Find the stiffest wall that ``law`` on ``axis`` bears with estimates off by up to ``mismatch``.
+    """Find the stiffest wall with which ``law`` on ``axis`` is stable, with estimates off by up to ``mismatch``.
 
     None where the poles allow every wall up to 1 GN/m. The corner that is simulated is the one at which the describing
     function has the largest oscillation against half the linear limit.
@@ -170,15 +167,15 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
     >>> from emps_design.control.impedance.law import impedance_law
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2018")
-    >>> found = wall_limit(axis, impedance_law(axis, 50.0, 100.0))
-    >>> found.simulated < found.linear
+    >>> limit = wall_limit(axis, impedance_law(axis, 50.0, 100.0))
+    >>> limit.simulated < limit.linear
     True
     """
     plant, clock = FrictionModel.of(axis), Clock.of(axis)
     corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
     laws = [law.with_errors(errors) for errors in corners]
     together = law.with_errors(stacked(corners))
-    walls = [largest_wall(one, plant, clock) for one in laws]
+    walls = [largest_wall(corner_law, plant, clock) for corner_law in laws]
     limits = [wall for wall in walls if wall is not None]
     if not limits:
         return None
@@ -188,8 +185,8 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
     grid = linear * STEP ** np.arange(round(math.log(LOWEST, STEP)), 1)
 
     def speeds(wall: float) -> np.ndarray:
-        found = relay_oscillations(together, plant, clock, wall)
-        return np.array([0.0 if one is None else one[1] for one in found])
+        oscillations = relay_oscillations(together, plant, clock, wall)
+        return np.array([0.0 if oscillation is None else oscillation[1] for oscillation in oscillations])
 
     worst = int(np.argmax(speeds(0.5 * linear) - 1e-6 * np.array([wall or 0.0 for wall in walls])))
     quiet = [not speeds(wall).any() for wall in grid]
@@ -200,6 +197,7 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
 
 
 def _simulated(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
+    """Largest stiffness [N/m] at which the axis rests against the wall and comes to rest after a push into it."""
     low = _resting(axis, law, grid, push)
     duration = max(12.0, 24.0 * law.mass / law.damping if law.damping > 0.0 else 0.0)
     duration = min(duration, MOST * axis.sampling.period)

@@ -108,9 +108,9 @@ def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
 def _known(axis: Axis) -> dict[str, tuple[int, int]]:
     """Names that can be varied: place of the effect (-1: baseline), place in its parameters."""
     names = {name: (-1, i) for i, name in enumerate(BASELINE)}
-    for place, one in enumerate(axis.effects):
-        for i, parameter in enumerate(one.effect.parameters):
-            names[f"{one.kind}.{parameter.name}"] = (place, i)
+    for place, entry in enumerate(axis.effects):
+        for i, parameter in enumerate(entry.effect.parameters):
+            names[f"{entry.kind}.{parameter.name}"] = (place, i)
     return names
 
 

@@ -1,8 +1,7 @@
-"""The plant: an axis with its effects, resolved once, simulated as often as wanted.
+"""The plant: an axis with its effects, resolved once and simulated any number of times.
 
-What the general stepper takes of an effect: the compiled kernels of its hooks, and what they let the steps be.
-
-What a plant hands to the general stepper: checked signals, and the numbers of a run.
+It prepares what the steppers take: the compiled kernels of the effects' hooks, the method of solution that they permit,
+checked signals, and the settings of a run.
 """
 
 from __future__ import annotations
@@ -28,22 +27,22 @@ from emps_design.simulation.run import Run
 
 # In the order of the rows of the table of hooks.
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
-# What the stepper takes as one number, where it is the same throughout a run, and where that number stands.
+# Hooks that the stepper takes as one number if they are constant during a run, and the place of that setting.
 SUMMED = {"dry": motion.LEVEL, "inertia": motion.MASS}
 _MOTION, _STATE, _COMMAND = range(5), (0, 1, 3, 4), range(3, 4)  # of a kernel's arguments q, v, t, tau, x, p, b
 
-# Own states smaller than this need not be known relatively: a load that has hardly begun to move, by unit.
+# Absolute tolerance of the effects' own states by unit, for states close to zero.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
-METHODS = ("general", "linear", "plain", "folded")  # of stepping; what is exact by one is by those before it
+METHODS = ("general", "linear", "plain", "folded")  # of stepping; each one before the fastest exact one is exact too
 _ASUNDER = 1e-7  # least relative difference of two lags
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
 
 
 def summed_of(effect: Effect, touching: bool) -> Iterator[tuple[int, Kernel]]:
-    """Yield the place in the settings, and the kernel, of what of ``effect`` is the same throughout a run.
+    """Yield the place in the settings and the kernel of each hook of ``effect`` that is constant during a run.
 
-    Those kernels read parameters and baseline alone; the parameters of what is ``touching`` the carriage may change.
+    Such a kernel reads parameters and baseline alone; the parameters of an effect ``touching`` the carriage may change.
     """
     for hook, place in SUMMED.items():
         kernel = getattr(effect, hook)
@@ -52,10 +51,10 @@ def summed_of(effect: Effect, touching: bool) -> Iterator[tuple[int, Kernel]]:
 
 
 def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, int]]:
-    """Yield the row of the table, and the address, of every kernel of ``effect`` that is called step by step.
+    """Yield the row of the table and the address of every kernel of ``effect`` that is called step by step.
 
-    ``touching``: it is something at the carriage, whose force a sensor there feels; ``held``: that force is the
-    sample's for the whole period.
+    ``touching``: the effect is in contact with the carriage and a force sensor there measures its force; ``held``: that
+    force is constant over each sampling period.
     """
     if held and effect.force is not None:
         yield motion.HELD, address(effect.force)
@@ -91,38 +90,41 @@ def reads_command(effect: Effect) -> bool:
 
 
 def is_smooth(effect: Effect) -> bool:
-    """Whether ``effect`` is a force without a kink between two jumps in time, and a mass that is the same there."""
+    """Whether ``effect`` is smooth between jumps in time: no states, no guards, a mass independent of the motion."""
     weighs = effect.inertia is not None and _reads(effect.inertia, _STATE)
     return not (effect.states or effect.guard or weighs)
 
 
 def how_solved(stepped: Sequence[Effect], lags: int) -> int:
-    """How hold periods of an axis with the effects ``stepped`` are solved, behind so many ``lags`` of the motor force.
+    """Return how hold periods with the effects ``stepped`` are solved, with ``lags`` lags of the motor force.
 
-    0: not at all; 1: all effects are in the solution; 2: smooth ones beside it; 3: of these some that see the command.
-    Of effects that are affine in pieces there may be one.
+    0: not in closed form; 1: in closed form with all effects; 2: smooth effects are added to the closed form; 3: and
+    some of these read the command. At most one effect may be affine in pieces.
     """
-    solved, others = [one for one in stepped if one.affine], [one for one in stepped if not one.affine]
+    solved, others = (
+        [effect for effect in stepped if effect.affine],
+        [effect for effect in stepped if not effect.affine],
+    )
     pieces = sum(1 for effect in solved if effect.guard)
     rubs = any(effect.takes_dry for effect in stepped)
     if not solved or pieces > 1 or lags > 1 or rubs or not all(map(is_smooth, others)):
         return 0
     if any(map(reads_command, others)):
-        return 3 if lags == 0 else 0  # behind a lag what they see is no parabola of time
+        return 3 if lags == 0 else 0  # behind a lag the force they read is no parabola of time
     return 2 if others else 1
 
 
 @cache
 def _reads(kernel: Kernel, which: Sequence[int]) -> bool:
-    """Whether ``kernel`` uses one of its arguments ``which``, whatever it calls them."""
+    """Whether ``kernel`` reads one of its arguments at the positions ``which``, whatever their names."""
     names = [kernel.__code__.co_varnames[i] for i in which]
     read = [step.argval for step in dis.get_instructions(kernel)]
-    return any(name in (one if isinstance(one, tuple) else (one,)) for one in read for name in names)
+    return any(name in (arg if isinstance(arg, tuple) else (arg,)) for arg in read for name in names)
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What the general stepper is given besides the law, the signals and room for the answer.
+    """Arguments of the general stepper other than the law, the signals and the arrays that it fills.
 
     ``baseline`` (4,), ``parameters``, ``settings``, ``y`` the state at first, the table of hooks with its ``starts``,
     ``columns`` that are written to ``slots`` of the parameters at every sample, ``floors`` and ``scratch``.
@@ -168,23 +170,23 @@ def motor_rows(drive: Drive, supply: Any, enable: Any, n: int) -> np.ndarray:
 
 
 def positive(period: Any) -> float:
-    """Return ``period`` [s]; raises :class:`InputError` where it is not positive."""
+    """Return ``period`` [s]; raise :class:`InputError` if it is not positive."""
     if not (np.isfinite(period) and period > 0):
         raise InputError(f"period: found {period:g} s, expected a positive number")
     return float(period)
 
 
 def signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:
-    """Return ``values`` as a row of floats; raises :class:`InputError` where they are not ``n`` finite numbers."""
-    found = np.ascontiguousarray(values, dtype=float)
-    if found.ndim != 1 or found.size == 0 or (n is not None and found.size != n):
+    """Return ``values`` as an array (n,) of floats; raise :class:`InputError` unless they are ``n`` finite numbers."""
+    row = np.ascontiguousarray(values, dtype=float)
+    if row.ndim != 1 or row.size == 0 or (n is not None and row.size != n):
         wanted = f"{n} numbers" if n else "a row of numbers"
-        raise InputError(f"{name}: found shape {found.shape}, expected {wanted} [{unit}]")
-    # A finite sum proves all finite, in one pass; otherwise look for the culprit (there is none if the sum overflowed).
-    if not np.isfinite(found.sum()) and not np.isfinite(found).all():
-        first = int(np.argmin(np.isfinite(found)))
-        raise InputError(f"{name}: sample {first} is {found[first]}, expected finite numbers [{unit}]")
-    return found
+        raise InputError(f"{name}: found shape {row.shape}, expected {wanted} [{unit}]")
+    # A finite sum proves all finite, in one pass; otherwise find the first that is not (none if the sum overflowed).
+    if not np.isfinite(row.sum()) and not np.isfinite(row).all():
+        first = int(np.argmin(np.isfinite(row)))
+        raise InputError(f"{name}: sample {first} is {row[first]}, expected finite numbers [{unit}]")
+    return row
 
 
 class Plant:
@@ -200,7 +202,7 @@ class Plant:
     def __init__(
         self, axis: Axis, effects: Sequence[tuple[Effect, np.ndarray]], environment: tuple[Hand | Wall, ...] = ()
     ):
-        """``effects`` with their parameters; ``environment`` is what touches the carriage."""
+        """``effects`` with their parameters; ``environment``: hands and walls in contact with the carriage."""
         self.axis = axis
         self.baseline = axis.mechanics.array()
         self.environment = environment
@@ -212,7 +214,7 @@ class Plant:
         hands = {own + i: thing for i, thing in enumerate(environment) if isinstance(thing, Hand)}
         self._hands, self._held = list(hands), [i for i, hand in hands.items() if hand.held]
         self._lag = axis.drive.current_time_constant
-        # An effect that is a lag of the motor force is no state: two lags, the current loop's among them, are known.
+        # A lag of the motor force needs no state: up to two lags, with the current loop's, have a closed form.
         lags = [i for i, effect in enumerate(self.effects) if effect.lag]
         self.lagging = lags[: 1 if self._lag > 0 else 2]
         twice = len(self.lagging) + (self._lag > 0) > 1
@@ -233,16 +235,16 @@ class Plant:
         dynamic = any((e.states and not e.by_travel) or e.guard for e in moving)
         stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
         self._exact = not stepped and not twice
-        seen = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
+        reads_force = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
         self._solved = 0 if environment else how_solved(stepped, len(self.lagging) + (self._lag > 0))
-        dynamic |= twice and (seen or any(effect.states for effect in moving))  # what a slide knows is for one lag
-        # A contact whose friction jumps with every command bends anew in no time: that is stepped through.
-        self._slides = 0 if dynamic or (seen and self._free) else 1 if seen else 2
+        dynamic |= twice and (reads_force or any(effect.states for effect in moving))  # slides are solved for one lag
+        # A contact whose friction jumps with every command deflects at once: it needs the stepper.
+        self._slides = 0 if dynamic or (reads_force and self._free) else 1 if reads_force else 2
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
-        """Resolve an axis and its effects; what was resolved or compiled before is not again."""
-        return cls(axis, [(one.effect, one.effect.values(one.parameters)) for one in axis.effects])
+        """Resolve an axis and its effects; kernels are compiled once."""
+        return cls(axis, [(entry.effect, entry.effect.values(entry.parameters)) for entry in axis.effects])
 
     def touched_by(self, *things: Hand | Wall) -> Plant:
         """Return this plant with a hand, walls, or both at the carriage."""
@@ -356,19 +358,19 @@ class Plant:
         if method not in possible:
             raise InputError(f"method: found {method!r}, expected one of {', '.join(possible)} for this axis")
         method = fastest if method == "auto" else method
-        events, found = np.empty((n + 1000, 3)), np.array([0, n + 1000])
+        events, tally = np.empty((n + 1000, 3)), np.array([0, n + 1000])
         if law is None or method in ("general", "linear"):
             ready = self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance)
             if self._solved == 1:
                 ready.settings[motion.LINEAR] *= method == "linear"
             rows, balance = self._general(
-                law, reference, push, noise, motor, q0, v0, period, energy, events, found, ready
+                law, reference, push, noise, motor, q0, v0, period, energy, events, tally, ready
             )
         else:
             balance = None
-            rows = self._core(method, b, law, reference, push, noise, (q0, v0), period, resolution, events, found)
+            rows = self._core(method, b, law, reference, push, noise, (q0, v0), period, resolution, events, tally)
         encoder, position, velocity, u, outside = rows
-        kept = min(int(found[0]), n + 1000)
+        kept = min(int(tally[0]), n + 1000)
         return Run(
             q_ref=q_ref,
             q=encoder,
@@ -379,7 +381,7 @@ class Plant:
             events=events[:kept].copy(),
             force_gain=motor[:, 0] if motor.size else self.axis.drive.gain,
             period=period,
-            lost_events=int(found[0]) - kept,
+            lost_events=int(tally[0]) - kept,
             energy=balance,
             name=self.axis.name,
         )
@@ -404,19 +406,19 @@ class Plant:
         return "plain" if delay or noise.size or resolution > 0 else "folded"
 
     def _pieces(self, p: np.ndarray) -> list[tuple[int, float, float]]:
-        """Own state and range of every effect that is affine with the parameters ``p``; none where one is not."""
-        found = []
+        """State index and range of every affine effect with the parameters ``p``; empty if one is not affine."""
+        pieces = []
         for i, effect in enumerate(self.effects if self._solved else ()):
             if effect.affine:
                 ends = effect.affine(p[self.parameters_at[i] : self.parameters_at[i + 1]])
                 if ends is None:
                     return []
-                found.append((self.states_at[i], *ends))
-        return found
+                pieces.append((self.states_at[i], *ends))
+        return pieces
 
     def _core(
         self, method: str, b: np.ndarray, law: Law, reference: np.ndarray, push: np.ndarray, noise: np.ndarray,
-        start: tuple[float, float], period: float, resolution: float, events: np.ndarray, found: np.ndarray,
+        start: tuple[float, float], period: float, resolution: float, events: np.ndarray, tally: np.ndarray,
     ) -> Iterable[np.ndarray]:  # fmt: skip
         n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
         b = b + np.array([0.0, drive.braking, 0.0, 0.0])
@@ -424,10 +426,10 @@ class Plant:
         numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, law.gains)
         if method == "plain":
             good = core.run_plain(
-                b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found
+                b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, tally
             )
         else:
-            good = core.run_folded(b, numbers, start, reference, push, position, velocity, u, events, found)
+            good = core.run_folded(b, numbers, start, reference, push, position, velocity, u, events, tally)
             encoder = position
         if good == n and not abs(position[-1]) < 1e3:
             good = int(np.argmin(np.abs(position) < 1e3))
@@ -460,12 +462,12 @@ class Plant:
         settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1] + drive.braking
         settings[motion.LEVEL], settings[motion.MASS] = b[2], b[0]
         for i, effect in enumerate(self.effects):
-            mine = p[self.parameters_at[i] : self.parameters_at[i + 1]]
+            values = p[self.parameters_at[i] : self.parameters_at[i + 1]]
             for place, kernel in summed_of(effect, i in self._outside):
-                settings[place] += kernel(q0, v0, 0.0, 0.0, _EMPTY, mine, b)
+                settings[place] += kernel(q0, v0, 0.0, 0.0, _EMPTY, values, b)
             if effect.slopes is not None:
-                settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(mine)
-                settings[motion.BRAKING] += effect.slopes(mine)[0] if effect.winding else 0.0
+                settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(values)
+                settings[motion.BRAKING] += effect.slopes(values)[0] if effect.winding else 0.0
         mass = settings[motion.MASS]
         settings[motion.MOBILITY] = 1.0 / mass if mass != 0.0 else np.inf
         states = self._states + (4 if energy else 0)
@@ -491,14 +493,17 @@ class Plant:
     def _lags(self, b: np.ndarray, p: np.ndarray, q0: float, v0: float) -> tuple[float, float]:
         """Time constants [s] of the lags that are known functions of time, 0: none."""
         ends = [(self.effects[i], self.parameters_at[i], self.parameters_at[i + 1]) for i in self.lagging]
-        lags = [self._lag, *(one.lag(q0, v0, 0.0, 0.0, _EMPTY, p[start:end], b) for one, start, end in ends if one.lag)]
-        first, second, *_ = *(one for one in lags if one != 0.0), 0.0, 0.0
-        # Two equal ones have no partial fractions; so little apart they cannot be told.
+        lags = [
+            self._lag,
+            *(effect.lag(q0, v0, 0.0, 0.0, _EMPTY, p[start:end], b) for effect, start, end in ends if effect.lag),
+        ]
+        first, second, *_ = *(lag for lag in lags if lag != 0.0), 0.0, 0.0
+        # Equal time constants have no partial fractions; a relative difference of 1e-7 changes nothing that matters.
         return first, first * (1.0 + _ASUNDER) if abs(second - first) < _ASUNDER * first else second
 
     def _general(
         self, law: Law | None, reference: np.ndarray, push: np.ndarray, noise: np.ndarray, motor: np.ndarray, q0: float,
-        v0: float, period: float, energy: bool, events: np.ndarray, found: np.ndarray, ready: Prepared,
+        v0: float, period: float, energy: bool, events: np.ndarray, tally: np.ndarray, ready: Prepared,
     ) -> tuple[Iterable[np.ndarray], dict[str, float] | None]:  # fmt: skip
         n, y = reference.size, ready.y
         braking = ready.settings[motion.BRAKING]
@@ -517,7 +522,7 @@ class Plant:
         plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)
         status, k, within = stepper.run(
             plant, y, place, gains, memory, reference, push, noise, motor, ready.columns, ready.slots,
-            ready.floors, ready.scratch, out, events, found,
+            ready.floors, ready.scratch, out, events, tally,
         )  # fmt: skip
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
@@ -525,7 +530,7 @@ class Plant:
         return out, self._energy(ready, q0, v0, n * period) if energy else None
 
     def _energy(self, ready: Prepared, q0: float, v0: float, end: float) -> dict[str, float]:
-        """Where the energy went [J]; ``residual`` is what the integration, or a jump of the mass, lost or made."""
+        """Energy balance [J]; ``residual`` is the error of the integration, or the energy of a jump of the mass."""
         y, b = ready.y, ready.baseline
 
         def kinetic(q: float, v: float, t: float) -> float:
@@ -548,8 +553,8 @@ class Plant:
         return {**parts, "residual": sum(parts.values()) - 2.0 * parts["kinetic"]}
 
     def _intended(self, intention: Any, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """Columns that the hand's intention writes to its parameters at every sample, and where."""
-        if intention is None:  # it means to stay at 0, as its parameters say
+        """Columns that the hand's intention writes to its parameters at every sample, and their places."""
+        if intention is None:  # the hand holds position 0, the default of its parameters
             return _NO_SIGNALS, _NO_SLOTS
         hand, wanted = self._hands[0], np.asarray(intention, dtype=float)
         columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)

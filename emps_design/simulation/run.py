@@ -105,10 +105,10 @@ class Run:
 
     ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
     encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N] (``force_gain`` (n,) where the supply
-    changes, or the motor is switched off), ``f_ext`` [N] the external force that a sensor on the carriage feels.
+    changes, or the motor is switched off), ``f_ext`` [N] the external force that a sensor on the carriage reads.
     ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick, break-away and guard;
-    ``lost_events`` counts those that did not fit. ``energy`` [J] is there where it was asked for, ``excitation`` [V]
-    where something was added to the controller's output.
+    ``lost_events`` counts those that did not fit. ``energy`` [J] is the balance if it was requested, ``excitation`` [V]
+    the signal added to the controller's output, if any.
     """
 
     q_ref: np.ndarray
@@ -127,15 +127,15 @@ class Run:
 
     @classmethod
     def joined(cls, runs: Sequence[Run]) -> Run:
-        """``runs`` of one axis one after the other, without what they have no sum of: their energy."""
+        """Return ``runs`` of one axis as one run, one after the other, without the energy balance."""
         first, *others = runs
         if not others:
             return first
-        signals: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in runs]) for name in STORED}
-        gain = np.concatenate([np.broadcast_to(one.force_gain, len(one)) for one in runs])
-        events, lost = np.concatenate([one.events for one in runs]), sum(one.lost_events for one in runs)
+        signals: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in STORED}
+        gain = np.concatenate([np.broadcast_to(run.force_gain, len(run)) for run in runs])
+        events, lost = np.concatenate([run.events for run in runs]), sum(run.lost_events for run in runs)
         starts = first.period * np.cumsum([0, *map(len, runs)][:-1])
-        events[:, 0] += np.repeat(starts, [len(one.events) for one in runs])
+        events[:, 0] += np.repeat(starts, [len(run.events) for run in runs])
         return replace(first, **signals, events=events, force_gain=gain, lost_events=lost, energy=None)
 
     @property

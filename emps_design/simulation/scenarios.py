@@ -1,12 +1,9 @@
 """Scenarios of the command ``simulate``: replay a record, follow a reference, raise a force until the axis moves.
 
-Reference programs for the axis and the ramp of force that starts it, sampled at the drive's period.
-
-Every function returns an array (n,), SI, and refuses numbers that cannot be meant with :class:`InputError`.
-
-What to change in a controller whose loop diverges: the one number nearest to what it has with which it runs.
-
-Read a reference of one's own, .csv or .npz: ``t`` [s], ``q_ref`` [m], optional ``f_ext`` [N], ``excitation`` [V].
+Reference programs and the force ramp are arrays (n,), SI, sampled at the drive's period; numbers out of range raise
+:class:`InputError`. A reference file, .csv or .npz, has ``t`` [s], ``q_ref`` [m], optional ``f_ext`` [N] and
+``excitation`` [V]. For a loop that diverges, :func:`unstable` proposes the nearest controller parameter with which it
+runs.
 """
 
 from __future__ import annotations
@@ -38,16 +35,16 @@ from emps_design.simulation.run import EVENTS, Run, driven_by
 from emps_design.simulation.synthetic import trapezoid_laps
 from emps_design.units import Units
 
-STEP = math.sqrt(2.0)  # between the numbers that are tried
-STEPS = 12  # down and up, as many: further away a loop runs because it hardly moves
+STEP = math.sqrt(2.0)  # factor from one trial value of a controller parameter to the next
+STEPS = 12  # in each direction; further away a loop runs because it hardly moves
 
 MAX_BYTES = 100_000_000
 MAX_SAMPLES = LONGEST
 
 ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
 DROPPED = 50  # samples left out of the relative errors, as in the report of the data set, and behind each gap
-SPAN = 8  # samples over which the velocity behind a gap is taken
-NEIGHBOURS = 2  # samples to either side that an acceleration is of
+SPAN = 8  # samples over which the velocity after a gap is averaged
+NEIGHBOURS = 2  # samples on each side that enter an acceleration
 
 
 def half_ramp_program(
@@ -121,9 +118,9 @@ __all__ = ["force_ramp", "half_ramp_program", "multi_sine", "trapezoid_laps"]
 
 
 def unstable(axis: Axis, error: SimulationError, simulate: Callable[[Axis], Any]) -> UnstableError:
-    """Return the error for a closed loop of ``axis`` that did not run, with the reason and the nearest that does.
+    """Return the error for a closed loop of ``axis`` that diverges, with the reason and the nearest that runs.
 
-    ``simulate(axis)`` runs the same loop on another axis and raises :class:`SimulationError` where it diverges.
+    ``simulate(axis)`` runs the same loop on another axis and raises :class:`SimulationError` if it diverges.
     """
     nearest = nearest_controller(axis, simulate)
     if not nearest:
@@ -134,27 +131,27 @@ def unstable(axis: Axis, error: SimulationError, simulate: Callable[[Axis], Any]
 
 
 def nearest_controller(axis: Axis, simulate: Callable[[Axis], Any]) -> dict[str, float]:
-    """Return the number of the controller of ``axis``, as {name: value}, with which ``simulate(axis)`` runs; or {}.
+    """Return one controller parameter of ``axis``, as {name: value}, with which ``simulate(axis)`` runs; or {}.
 
-    Each number is tried alone, in steps of a factor sqrt(2) either way; the one proposed has another such step to
-    spare, and is the one whose factor is nearest to 1.
+    Each parameter is varied alone, by factors of sqrt(2) up and down. The proposal is the one with the factor nearest
+    to 1 among those whose last two steps both run.
     """
-    found: list[tuple[int, str, float]] = []
+    candidates: list[tuple[int, str, float]] = []
     for name, own in _numbers(axis):
         for side in (-1, 1):
             before = False
             for count in range(1, STEPS + 1):
-                if found and count >= min(found)[0]:
+                if candidates and count >= min(candidates)[0]:
                     break
                 value = float(f"{own * STEP ** (side * count):.3g}")
                 runs = _runs(axis, name, value, simulate)
                 if runs and before:
-                    found.append((count, name, value))
+                    candidates.append((count, name, value))
                     break
                 before = runs
-    if not found:
+    if not candidates:
         return {}
-    _, name, value = min(found)
+    _, name, value = min(candidates)
     return {name: value}
 
 
@@ -435,7 +432,7 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
         runs.append(run)
     step = rate * axis.sampling.period
     if any(limit is not None and abs(limit) <= step for limit in limits):
-        alone = "the carriage leaves without a push: what acts on it at rest is more than its friction holds"
+        alone = "the carriage leaves without a push: the force on it at rest exceeds its friction"
         return Breakaway(axis, rate, peak, None, None, runs[0], (alone,))
     if any(limit is not None and step > COARSE * abs(limit) for limit in limits):
         warnings.append(f"the push rises by {step:.3g} N from sample to sample, the force is as coarse; lower `rate`")
@@ -443,19 +440,19 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
 
 
 def _leaves(run: Run, moved: np.ndarray) -> int | None:
-    """The sample at which a carriage that ``moved`` (n,) [m] along the push left for good; None where it held."""
+    """Return the sample at which a carriage that ``moved`` (n,) [m] along the push broke away; None if it held."""
     away = np.flatnonzero(moved > MOVED)
     until = run.t[away[0]] if away.size else np.inf
-    seen = [(time, EVENTS[int(kind)]) for time, kind, _ in run.events if time <= until]
-    seen = [one for one in seen if one[1] in ("reversal", "stick", "break-away")]
-    left = [time for time, kind in seen if kind == "break-away"]
-    if left and (away.size or seen[-1][1] == "break-away"):  # still on its way where the push ended before 1 mm
-        return round(left[-1] / run.period)
+    events = [(time, EVENTS[int(kind)]) for time, kind, _ in run.events if time <= until]
+    events = [event for event in events if event[1] in ("reversal", "stick", "break-away")]
+    starts = [time for time, kind in events if kind == "break-away"]
+    if starts and (away.size or events[-1][1] == "break-away"):  # still on its way where the push ended before 1 mm
+        return round(starts[-1] / run.period)
     return int(away[0]) if away.size else None
 
 
 def _held(most: float, peak: float) -> str:
-    """In words that the carriage has not left at ``peak`` [N], ``most`` [m] from where it was."""
+    """Return a warning that the carriage did not break away up to ``peak`` [N] and moved at ``most`` [m]."""
     if most <= 0.0:
         return f"the carriage held to {peak:g} N; raise `peak`"
     return (
@@ -469,14 +466,14 @@ HELD = "is unstable; only limits hold it"
 
 @dataclass(frozen=True)
 class Followed:
-    """A reference of one's own, followed in closed loop."""
+    """A run in closed loop along a user's reference."""
 
     axis: Axis
     run: Run
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Tracking error, largest numbers, events; a ``reason`` where a loop is unstable that the limit holds."""
+        """Tracking error, largest signals, events; a ``reason`` if a loop is unstable and only limits bound it."""
         run, limit = self.run, self.axis.drive.command_limit
         worst = worst_loop(nested_loops(self.axis))
         error = run.q_ref - run.position
@@ -506,7 +503,7 @@ def follow(
 
     ``excitation`` (n,) [V] is added to the controller's output.
 
-    Raises :class:`UnstableError` where the loop diverges, with the nearest that does not.
+    Raises :class:`UnstableError` if the loop diverges, with the nearest controller that does not.
     """
     how = {"q_ref": q_ref, "disturbance": f_ext, "voltage_noise": excitation}
     run = replace(_closed_loop(axis, lambda axis: how), excitation=excitation)
@@ -516,7 +513,7 @@ def follow(
 
 
 def _closed_loop(axis: Axis, driven: Callable[[Axis], dict[str, Any]]) -> Run:
-    """The closed loop of ``axis``, ``driven`` as that says for an axis; :class:`UnstableError` where it diverges."""
+    """Run the closed loop of ``axis`` with the inputs ``driven(axis)``; :class:`UnstableError` if it diverges."""
 
     def simulate(axis: Axis) -> Run:
         return Plant.of(axis).closed_loop(**driven(axis))

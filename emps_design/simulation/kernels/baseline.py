@@ -45,7 +45,7 @@ def swing(volts, k, period, swings):
 
 
 @cached()
-def run_plain(b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, found):
+def run_plain(b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, tally):
     """Close the loop of ``position_pd`` sample by sample; returns the number of good samples, or -1 - k.
 
     The latter where the loop is unstable: at sample k the voltage has swung between its limits 40 times.
@@ -57,17 +57,17 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
     period, limit, gain = numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
     e, _, m1, g1, _, m2, _ = response(period, mass, b[VISCOUS], 0.0)
     friction = (mass, b[VISCOUS], b[VISCOUS], dry + offset, dry - offset, 0.0)
-    events_, found_ = pointer(events), pointer(found)
+    events_, tally_ = pointer(events), pointer(tally)
     proportional, resolution, two_tap = numbers[PROPORTIONAL], numbers[RESOLUTION], numbers[TWO_TAP] > 0.0
     damping = numbers[DAMPING] / period * (0.5 if two_tap else 1.0)
     q, v = start
-    seen = math.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
-    last, older = seen, seen
+    measured = math.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
+    last, older = measured, measured
     swings = (0.0, 0.0, 0.0)
     for k in range(reference.size):
-        seen = math.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
-        volts = proportional * (reference[k] - seen) - damping * (seen - (older if two_tap else last))
-        older, last = last, seen
+        measured = math.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
+        volts = proportional * (reference[k] - measured) - damping * (measured - (older if two_tap else last))
+        older, last = last, measured
         if noise.size:
             volts += noise[k]
         if abs(volts) >= limit:
@@ -76,7 +76,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
             if swings[1] >= SWINGS:
                 position[k], velocity[k] = q, v
                 return -k - 1
-        position[k], encoder[k], velocity[k], u[k] = q, seen, v, volts
+        position[k], encoder[k], velocity[k], u[k] = q, measured, v, volts
         if delay:
             volts = u[k - delay] if k >= delay else 0.0
         net = gain * volts - offset
@@ -98,20 +98,20 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
                 continue
         elif abs(net) <= dry:
             continue
-        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
+        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, tally_)
         if not abs(q) < 1e3:
             return k
     return reference.size
 
 
 @cached(contract=True)
-def run_folded(b, numbers, start, reference, push, position, velocity, u, events, found):
+def run_folded(b, numbers, start, reference, push, position, velocity, u, events, tally):
     """The same without delay, quantisation and noise, sliding folded into one affine map per sample."""
     mass, dry, offset = b[MASS], b[COULOMB], b[OFFSET]
     period, limit, gain = numbers[PERIOD], numbers[LIMIT], numbers[GAIN]
     e, _, m1, g1, _, m2, _ = response(period, mass, b[VISCOUS], 0.0)
     friction = (mass, b[VISCOUS], b[VISCOUS], dry + offset, dry - offset, 0.0)
-    events_, found_ = pointer(events), pointer(found)
+    events_, tally_ = pointer(events), pointer(tally)
     proportional, two_tap = numbers[PROPORTIONAL], numbers[TWO_TAP] > 0.0
     damping = numbers[DAMPING] / period * (0.5 if two_tap else 1.0)
     both = proportional + damping
@@ -163,7 +163,7 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
         elif abs(net) <= dry:
             k += 1
             continue
-        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, found_)
+        q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, tally_)
         k += 1
         if not abs(q) < 1e3:
             return k - 1
@@ -176,18 +176,18 @@ def numbers_of(period: float, gain: float, limit: float, resolution: float, gain
 
 
 @cached()
-def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u, first, scratch, found, result):
+def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u, first, scratch, tally, result):
     """Simulate ``baselines`` (m, 4), m a multiple of 32, and fill ``result`` (m, 5).
 
     Columns: sums of squares over the samples from ``first`` on of reference minus position, measured minus encoder
     position and measured minus simulated voltage (0 where nothing was measured), then the largest voltage and the
-    number of samples at rest. ``scratch`` has 20 rows of 32; ``found`` two zeros: no event is kept.
+    number of samples at rest. ``scratch`` has 20 rows of 32; ``tally`` two zeros: no event is recorded.
     """
-    room, nothing = pointer(scratch), pointer(found)
+    room, nothing = pointer(scratch), pointer(tally)
     q, v, older, last = room, shifted(room, 32), shifted(room, 64), shifted(room, 96)
     e, g1, m1, m2 = shifted(room, 128), shifted(room, 160), shifted(room, 192), shifted(room, 224)
     dry, offset, mass, viscous = shifted(room, 256), shifted(room, 288), shifted(room, 320), shifted(room, 352)
-    seen, net, ahead, place = shifted(room, 384), shifted(room, 416), shifted(room, 448), shifted(room, 480)
+    measured, net, ahead, place = shifted(room, 384), shifted(room, 416), shifted(room, 448), shifted(room, 480)
     tracked, missed, voltage, peak = shifted(room, 512), shifted(room, 544), shifted(room, 576), shifted(room, 608)
     period, limit, gain, resolution = numbers[PERIOD], numbers[LIMIT], numbers[GAIN], numbers[RESOLUTION]
     proportional, two_tap = numbers[PROPORTIONAL], numbers[TWO_TAP]
@@ -199,8 +199,8 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
             mass[i], dry[i], offset[i], viscous[i] = b[MASS], b[COULOMB], b[OFFSET], b[VISCOUS]
             e[i], _, m1[i], g1[i], _, m2[i], _ = response(period, mass[i], viscous[i], 0.0)
             q[i], v[i] = start
-            begun = math.floor(start[0] / resolution + 0.5) * resolution if resolution > 0.0 else start[0]
-            older[i], last[i] = begun, begun
+            first_reading = math.floor(start[0] / resolution + 0.5) * resolution if resolution > 0.0 else start[0]
+            older[i], last[i] = first_reading, first_reading
             tracked[i], missed[i], voltage[i], peak[i] = 0.0, 0.0, 0.0, 0.0
             result[block + i, 4] = 0.0
         for k in range(reference.size):
@@ -211,19 +211,19 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
             real_u = measured_u[k] if compared else 0.0
             if resolution > 0.0:
                 for i in range(32):
-                    seen[i] = math.floor(q[i] / resolution + 0.5) * resolution
+                    measured[i] = math.floor(q[i] / resolution + 0.5) * resolution
             else:
                 for i in range(32):
-                    seen[i] = q[i]
+                    measured[i] = q[i]
             for i in range(32):
                 before = two_tap * older[i] + (1.0 - two_tap) * last[i]
-                volts = proportional * (wanted - seen[i]) - damping * (seen[i] - before)
+                volts = proportional * (wanted - measured[i]) - damping * (measured[i] - before)
                 volts = limit if volts > limit else volts
                 volts = -limit if volts < -limit else volts
                 older[i] = last[i]
-                last[i] = seen[i]
+                last[i] = measured[i]
                 tracked[i] += counts * (wanted - q[i]) * (wanted - q[i])
-                missed[i] += counts * (real_q - seen[i]) * (real_q - seen[i])
+                missed[i] += counts * (real_q - measured[i]) * (real_q - measured[i])
                 voltage[i] += counts * (real_u - volts) * (real_u - volts)
                 size = abs(volts)
                 peak[i] = size if size > peak[i] else peak[i]

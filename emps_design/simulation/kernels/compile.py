@@ -128,14 +128,14 @@ def cached(contract: bool = False) -> Callable[[Callable[..., Any]], Any]:
 
 def source_files(function: Callable[..., Any]) -> set[Path]:
     """Files of ``function``, of this module, and of every compiled part that is called, however far down."""
-    found, open_ends = {Path(__file__)}, [function]
-    seen = set()
+    files, open_ends = {Path(__file__)}, [function]
+    visited = set()
     while open_ends:
-        code, space = (one := open_ends.pop()).__code__, one.__globals__
-        if code in seen:
+        code, space = (piece := open_ends.pop()).__code__, piece.__globals__
+        if code in visited:
             continue
-        seen.add(code)
-        found.add(Path(code.co_filename))
+        visited.add(code)
+        files.add(Path(code.co_filename))
         reached = [space.get(name) for name in code.co_names]
         reached += [
             getattr(module, name, None)
@@ -144,8 +144,8 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
             for name in code.co_names
         ]
         open_ends += [value.py_func for value in reached if isinstance(value, Dispatcher)]
-        found |= {Path(value._defn.__code__.co_filename) for value in reached if isinstance(value, Intrinsic)}
-    return found
+        files |= {Path(value._defn.__code__.co_filename) for value in reached if isinstance(value, Intrinsic)}
+    return files
 
 
 # A piece of a stepper: compiled into whatever calls it, cached with that. Divisions by a constant, or several by the
@@ -193,8 +193,8 @@ def call_kernel(typingctx, place, q, v, t, tau, x, x_at, p, p_at, b):
 
     def generate(context, builder, signature, arguments):
         place, q, v, t, tau, x, x_at, p, p_at, b = arguments
-        own, mine = builder.gep(x, [x_at]), builder.gep(p, [p_at])
-        return _call(builder, place, _double, [q, v, t, tau, own, mine, b])
+        states, parameters = builder.gep(x, [x_at]), builder.gep(p, [p_at])
+        return _call(builder, place, _double, [q, v, t, tau, states, parameters, b])
 
     return signature, generate
 
@@ -206,8 +206,8 @@ def call_rate(typingctx, place, q, v, t, tau, x, x_at, p, p_at, b, level, dx):
 
     def generate(context, builder, signature, arguments):
         place, q, v, t, tau, x, x_at, p, p_at, b, level, dx = arguments
-        own, mine, change = builder.gep(x, [x_at]), builder.gep(p, [p_at]), builder.gep(dx, [x_at])
-        _call(builder, place, _void, [q, v, t, tau, own, mine, b, level, change])
+        states, parameters, change = builder.gep(x, [x_at]), builder.gep(p, [p_at]), builder.gep(dx, [x_at])
+        _call(builder, place, _void, [q, v, t, tau, states, parameters, b, level, change])
         return context.get_dummy_value()
 
     return types.void(*whole), generate

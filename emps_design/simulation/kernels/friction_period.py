@@ -19,14 +19,14 @@ _STOPS = 32  # followed within one period
 
 
 @part
-def note(events, found, time, kind, place):
-    """Record an event where there is room; count it in any case."""
-    i = found[0]
-    if i < found[1]:
+def note(events, tally, time, kind, place):
+    """Count an event in ``tally`` = (events so far, room for them) and record it if there is room."""
+    i = tally[0]
+    if i < tally[1]:
         events[3 * i] = time
         events[3 * i + 1] = kind
         events[3 * i + 2] = place
-    found[0] = i + 1
+    tally[0] = i + 1
 
 
 @part
@@ -145,7 +145,7 @@ def _first_zero(rest, side, v0, d, f, mass, viscous, lag):
 
 
 @part
-def follow(q, v, tau, command, push, span, friction, t, events, found):
+def follow(q, v, tau, command, push, span, friction, t, events, tally):
     """Position, velocity and motor force after ``span`` seconds from ``t``; every stop is followed and recorded."""
     mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction
     rest, side, came = span, 0.0, 0.0
@@ -159,9 +159,9 @@ def follow(q, v, tau, command, push, span, friction, t, events, found):
             force = tau + push
             side = 1.0 if force > coulomb_p else -1.0 if force < -coulomb_n else 0.0
             if came != 0.0:
-                note(events, found, t + span - rest, STICK if side == 0.0 else REVERSAL, q)
+                note(events, tally, t + span - rest, STICK if side == 0.0 else REVERSAL, q)
             elif side != 0.0:
-                note(events, found, t, BREAKAWAY, q)
+                note(events, tally, t, BREAKAWAY, q)
             if side == 0.0:  # sticks, perhaps until the force leaves the friction's reach
                 bound = coulomb_p - push if command > tau else -coulomb_n - push
                 wait = rest
@@ -173,7 +173,7 @@ def follow(q, v, tau, command, push, span, friction, t, events, found):
                 tau = bound
                 rest -= wait
                 leaves = True
-                note(events, found, t + span - rest, BREAKAWAY, q)
+                note(events, tally, t + span - rest, BREAKAWAY, q)
         viscous = viscous_p if side > 0.0 else viscous_n
         d = tau - command
         f = command + push - (coulomb_p if side > 0.0 else -coulomb_n)
@@ -191,7 +191,7 @@ def follow(q, v, tau, command, push, span, friction, t, events, found):
             return q, v, tau
         came = side
         if rest <= 0.0:
-            note(events, found, t + span, STICK, q)
+            note(events, tally, t + span, STICK, q)
             return q, v, tau
     # More stops than that in one period: the carriage rests for what is left of it.
     return q, 0.0, command + (tau - command) * math.exp(-rest / lag) if lag > 0.0 else command
@@ -219,7 +219,7 @@ def sticks(d, command, push, coulomb_p, coulomb_n):
 
 
 @inlined
-def advance(q, v, tau, command, push, span, forward, backward, friction, t, events, found):
+def advance(q, v, tau, command, push, span, forward, backward, friction, t, events, tally):
     """The same, with ``forward`` and ``backward`` the :func:`response` to ``span``: a slide costs no exponential."""
     mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction
     d = tau - command if lag > 0.0 else 0.0
@@ -233,7 +233,7 @@ def advance(q, v, tau, command, push, span, forward, backward, friction, t, even
             return place, new, command + d * backward[6]
     elif sticks(d, command, push, coulomb_p, coulomb_n):
         return q, 0.0, command + d * forward[6]
-    return follow(q, v, tau, command, push, span, friction, t, events, found)
+    return follow(q, v, tau, command, push, span, friction, t, events, tally)
 
 
 @inlined

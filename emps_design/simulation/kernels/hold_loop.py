@@ -109,7 +109,7 @@ _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; ab
 
 
 @fused
-def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, found):
+def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, events, tally):
     """Carry ``y`` over ``span`` seconds of one command; returns direction, next step, status, time done."""
     starts, settings = plant[2], plant[4]
     k1, k4, largest = work[0], work[3], work[6]
@@ -123,7 +123,7 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
     if not free and y[1] == 0.0:  # the command has changed: at rest still?
         direction = held(y, clipped(t, bounds), tau, push, plant)
         if direction != s:
-            note(events, found, t, STICK if direction == 0.0 else BREAKAWAY, y[0])
+            note(events, tally, t, STICK if direction == 0.0 else BREAKAWAY, y[0])
         s = direction
     while span - done > INSTANT:
         now = t + done
@@ -196,16 +196,16 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
         if event == 0:
             y[1] = 0.0
             if free:
-                note(events, found, t + done, REVERSAL, y[0])
+                note(events, tally, t + done, REVERSAL, y[0])
         if (event == 0 or event == 1) and not free:
             direction = held(y, clipped(t + done, bounds), tau, push, plant)
             if event == 1 and direction == 0.0:  # rounding: the force has reached the limit all the same
                 direction = 1.0 if balance(y, clipped(t + done, bounds), tau, push, 0.0, plant)[0] > 0.0 else -1.0
             kind = BREAKAWAY if event == 1 else (STICK if direction == 0.0 else REVERSAL)
-            note(events, found, t + done, kind, y[0])
+            note(events, tally, t + done, kind, y[0])
             s = direction
         elif event >= 2:
-            note(events, found, t + done, GUARDED, y[0])
+            note(events, tally, t + done, GUARDED, y[0])
         elif error < 0.01:
             hint = max(hint, 2.0 * h)
         elif error < 0.5:
@@ -230,7 +230,7 @@ def applied(j, u, plant):
 @cached()
 def run(
     arrays, y, law, gains, memory, reference, push, noise, motor_rows, signals, slots, floors, scratch, out, events,
-    found,
+    tally,
 ):  # fmt: skip
     """Run the loop over ``reference.size`` samples; returns the status, the sample, and the time within its period [s].
 
@@ -239,7 +239,7 @@ def run(
     and ``noise`` [V] are empty or one value a sample, ``motor_rows`` empty or a row a sample of the motor's gain and
     what its back-EMF brakes; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the
     sizes below which own states need not be known relatively. ``out`` has a row each for encoder, position, velocity,
-    voltage and external force, ``events`` three columns; both are filled, and ``found`` [0] counts the events.
+    voltage and external force, ``events`` three columns; both are filled. ``tally`` = (events so far, room for them).
     ``scratch`` has room for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
@@ -249,7 +249,7 @@ def run(
     )  # fmt: skip
     _, hooks, starts, p, settings, _ = plant
     n, size = reference.size, y.size
-    y_, gains_, memory_, events_, found_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(found)
+    y_, gains_, memory_, events_, tally_ = pointer(y), pointer(gains), pointer(memory), pointer(events), pointer(tally)
     bounds, free_row = shifted(drive, DRIVE), shifted(drive, DRIVE)
     k1, k2, k3 = shifted(free_row, 2), shifted(free_row, 2 + size), shifted(free_row, 2 + 2 * size)
     k4, k5, stage = shifted(k3, size), shifted(k3, 2 * size), shifted(k3, 3 * size)
@@ -305,12 +305,12 @@ def run(
         if varies:
             settings[GAIN], settings[BRAKING] = motor_rows[k, 0], motor_rows[k, 1]
         position[k], velocity[k] = y[0], y[1]
-        seen = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
+        measured = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
         if resolution > 0.0:
-            if not abs(seen) < np.inf:  # a way out of its own, lest the division be done for an exact encoder too
+            if not abs(measured) < np.inf:  # a way out of its own, lest the division be done for an exact encoder too
                 return DIVERGED, k, 0.0
-            seen = encoded(seen, resolution)
-        encoder[k] = seen
+            measured = encoded(measured, resolution)
+        encoder[k] = measured
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
@@ -329,13 +329,13 @@ def run(
                 felt -= k1[1] * total(TOUCH_MASS, y_, t, tau, plant)
         outside[k] = felt
         if law != 0:
-            told, wanted = seen, reference[k]
+            feedback, wanted = measured, reference[k]
             if error_alone:
-                told, wanted = seen - wanted, 0.0
+                feedback, wanted = measured - wanted, 0.0
             waiting, integral = int(settings[WAITS]), 0.0
             if waiting > 0:
                 integral = memory_[waiting - 1]
-            volts = call_law(law, k, wanted, told, felt, limit, shifted(gains_, k * stride), memory_)
+            volts = call_law(law, k, wanted, feedback, felt, limit, shifted(gains_, k * stride), memory_)
         else:
             volts = reference[k]
         if commands:
@@ -382,11 +382,11 @@ def run(
             if exact:
                 if h == period:
                     y[0], y[1], reached = advance(
-                        y[0], y[1], reached, tau, force, h, forward, backward, friction, t, events_, found_
+                        y[0], y[1], reached, tau, force, h, forward, backward, friction, t, events_, tally_
                     )
                 else:
                     y[0], y[1], reached = follow(
-                        y[0], y[1], reached, tau, force, h, friction, t + start, events_, found_
+                        y[0], y[1], reached, tau, force, h, friction, t + start, events_, tally_
                     )
                 if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
                     return DIVERGED, k, start
@@ -431,7 +431,7 @@ def run(
                 other = (1.0 - share) * tau + drive[5] * math.exp(-h / settings[BEHIND])
                 reached -= other
             s, hint, status, done = carry(
-                y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, found_
+                y_, t + start, end - start, tau, force, s, hint, plant, bounds, work, new, before, events_, tally_
             )
             if status != DONE:
                 return status, k, start + done

@@ -35,9 +35,9 @@ class _LaneModel(models.PrimitiveModel):
 
 def room(rows: int) -> np.ndarray:
     """Zeros (``rows``, LANES) that begin where a line of the processor's cache does: no vector lies across two."""
-    found = np.zeros(rows * LANES + _LINE)
-    first = -found.ctypes.data // found.itemsize % _LINE
-    return found[first : first + rows * LANES].reshape(rows, LANES)
+    padded = np.zeros(rows * LANES + _LINE)
+    first = -padded.ctypes.data // padded.itemsize % _LINE
+    return padded[first : first + rows * LANES].reshape(rows, LANES)
 
 
 @inlined
