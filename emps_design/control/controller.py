@@ -1,10 +1,10 @@
-"""What the controller in an axis file achieves: crossover, margins, bandwidth, damping of each loop and of the whole.
+"""Crossover, margins, bandwidth and damping of each loop of the controller in an axis file, and of the whole.
 
-Sampled, as the drive runs it, and beside it the continuous limit with every lag of the axis. The velocity loop is
-broken at the plant input with the position loop open, the position loop at the position error with the velocity loop
-closed, the whole at the plant input, where a delay or a current loop sits. Natural frequency ``|s|`` and damping
-``-Re s / |s|`` are those of the least damped pole of the closed loop, sampled ``s = ln(z) / T``, that is not far above
-what the loop follows; a real pole has a damping of 1.
+They are those of the sampled loop as the drive runs it, and of its continuous limit with every lag of the axis. The
+velocity loop is broken at the plant input with the position loop open, the position loop at the position error with the
+velocity loop closed, the whole at the plant input, where a delay or a current loop acts. Natural frequency ``|s|`` and
+damping ``-Re s / |s|`` are those of the least damped pole of the closed loop (``s = ln(z) / T`` if sampled) that is not
+far above crossover and bandwidth; a real pole has a damping of 1.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from emps_design.laws.linear import LinearLaw, linear_law
 from emps_design.notebook import table
 
 LOOPS = ("velocity", "position", "whole")
-MOST_GAIN = 1e4  # a continuous loop that bears more gain bears any
-FAR = 5.0  # times the highest of crossover and bandwidth: oscillations above that are not the loop's own
+MOST_GAIN = 1e4  # a larger gain margin of a continuous loop counts as unbounded
+FAR = 5.0  # times the larger of crossover and bandwidth: faster poles do not count as the loop's own
 _REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
 
 
 @dataclass(frozen=True)
 class LoopMargins:
-    """One loop: where it is ``broken``, its ``margins`` there, and -3 dB [rad/s] and least damped pole when closed.
+    """One loop: where it is ``broken``, its ``margins`` there, closed-loop ``bandwidth`` [rad/s], least damped pole.
 
-    ``bandwidth`` is None where the loop follows nothing or its answer never falls; ``velocity_error`` has the margins
-    there where they are others than at the plant input, as of a law with its proportional part on the velocity alone;
-    ``continuous`` the same loop in its limit of ever faster sampling.
+    ``bandwidth`` is None if the loop has no reference or its response never falls by 3 dB. ``velocity_error`` has the
+    margins with the loop broken there, if they differ from those at the plant input, as for a law with its proportional
+    part on the velocity alone; ``continuous`` is the same loop in the limit of ever faster sampling.
     """
 
     broken: str
@@ -68,7 +68,7 @@ class LoopMargins:
         return self.margins.stable
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's keys, and what stands beside them."""
+        """Plain data, SI units, angles in degrees."""
         margins = self.margins
         document = {
             "stable": margins.stable,
@@ -97,8 +97,8 @@ Loops = dict[str, LoopMargins | None]
 class ControllerMargins:
     """The ``loops`` of the controller of ``axis`` by name, None for those it does not have.
 
-    ``others`` are the same on the other machines that were asked about, each after what it has different from the axis;
-    ``velocity`` [m/s] is where the effects are linearised.
+    ``others`` are the same for the other machines of a load range or mismatch, each with its differences from the axis;
+    the effects are linearised at ``velocity`` [m/s].
     """
 
     axis: Axis
@@ -109,7 +109,7 @@ class ControllerMargins:
 
     @cached_property
     def worst(self) -> NestedLoop:
-        """The loop that the controller stands or falls with, on whichever machine."""
+        """The loop with the smallest margins, over all machines."""
         return worst_loop(
             NestedLoop(f"{name} loop", loop.broken, loop.margins, where)
             for where, loops in (({}, self.loops), *self.others)
@@ -124,11 +124,11 @@ class ControllerMargins:
 
     @property
     def reason(self) -> str:
-        """Why the controller should not run, in one line; empty where every loop is stable."""
+        """The reason why the controller must not run, in one line; empty if every loop is stable."""
         return "" if self.stable else f"the {loop_in_words(self.worst)} of the axis file's controller is unstable"
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's ``margins --json``."""
+        """The JSON document of the command ``margins``."""
         document: dict[str, Any] = {
             "axis": self.axis.name,
             "controller": self.axis.controller.kind,
@@ -168,18 +168,18 @@ def controller_margins(
 ) -> ControllerMargins:
     """Return crossover, margins, bandwidth and damping of each loop of the controller of ``axis`` and of the whole.
 
-    ``mismatch``: the same at every corner of that relative error of mass, viscous friction and force gain; ``load``:
-    over a :class:`~emps_design.control.velocity.load_range.LoadRange`. ``velocity`` [m/s]: where the effects of the
-    axis are linearised; an axis with effects is looked at in the other direction too. Raises
-    :class:`~emps_design.errors.AxisError` where the axis has no controller.
+    ``mismatch`` adds every corner of that relative error of mass, viscous friction and force gain, ``load`` the
+    machines of a :class:`~emps_design.control.velocity.load_range.LoadRange`. The effects of the axis are linearised at
+    ``velocity`` [m/s], and in the other direction too. Raises :class:`~emps_design.errors.AxisError` if the axis has no
+    controller.
 
     >>> from emps_design.axis import Axis
     >>> servo = Axis(mechanics={"mass": 0.74944, "viscous": 10.556, "coulomb": 0.0}, drive={"force_gain": 1.0},
     ...              sampling={"period": 1e-3}, controller={"kind": "p", "kp": 250.0})
-    >>> found = controller_margins(servo).loops
-    >>> found["velocity"], round(found["whole"].margins.phase_margin_deg, 1)
+    >>> loops = controller_margins(servo).loops
+    >>> loops["velocity"], round(loops["whole"].margins.phase_margin_deg, 1)
     (None, 41.3)
-    >>> round(found["whole"].continuous.natural_frequency, 2), round(found["whole"].continuous.damping, 3)
+    >>> round(loops["whole"].continuous.natural_frequency, 2), round(loops["whole"].continuous.damping, 3)
     (18.26, 0.386)
     """
     errors = None if mismatch is None else relative_mismatch(mismatch)
@@ -200,19 +200,19 @@ def _plant(case: Case) -> SampledPlant:
 
 
 def loops_around(axis: Axis, plant: SampledPlant, velocity: float = 0.1, continuous: bool = False) -> Loops:
-    """The loops of the controller of ``axis``, by the names :data:`LOOPS`, around a ``plant`` that may be another's."""
-    found: Loops = dict.fromkeys(LOOPS)
+    """Return the loops of the controller of ``axis`` by the names :data:`LOOPS`, around any sampled ``plant``."""
+    margins: Loops = dict.fromkeys(LOOPS)
     for name, (follows, law) in _laws(axis, float(np.sign(velocity))).items():
         limit = _continuous(ContinuousLoop.of(law, axis, plant), plant, name, follows) if continuous else None
-        found[name] = _sampled(law(plant.period), plant, name, follows, limit)
-    return found
+        margins[name] = _sampled(law(plant.period), plant, name, follows, limit)
+    return margins
 
 
 def _laws(axis: Axis, direction: float) -> dict[str, tuple[str, LawAt]]:
-    """What each loop follows, and its law at any period; a position is followed by an error alone."""
+    """Return by loop what it follows and its law at any period; a position loop reads the position error alone."""
     period = axis.sampling.period
     law, kind = law_of(axis, period), get_law(axis.controller.kind)
-    found: dict[str, tuple[str, LawAt]] = {}
+    loops: dict[str, tuple[str, LawAt]] = {}
 
     def whole(h: float) -> LinearLaw:
         return linear_law(law_of(axis, h), h, direction)
@@ -224,20 +224,20 @@ def _laws(axis: Axis, direction: float) -> dict[str, tuple[str, LawAt]]:
                 return linear_law(kind.law(table, axis, h), h, direction)
 
             follows = kind.law(table, axis, period).follows
-            found[follows] = follows, inner
+            loops[follows] = follows, inner
     elif law.follows == "velocity":
-        found["velocity"] = law.follows, whole
+        loops["velocity"] = law.follows, whole
     elif law.follows == "position":
-        hears_the_error_alone = not _hears(_velocity_alone(whole(period)))
-        if kind.state_feedback and not hears_the_error_alone:
-            found["velocity"] = "", lambda h: _velocity_alone(whole(h))
-        if kind.state_feedback or hears_the_error_alone:
-            found["position"] = law.follows, whole
-    return {**found, "whole": (law.follows, whole)}
+        error_alone = not _reads_position(_velocity_alone(whole(period)))
+        if kind.state_feedback and not error_alone:
+            loops["velocity"] = "", lambda h: _velocity_alone(whole(h))
+        if kind.state_feedback or error_alone:
+            loops["position"] = law.follows, whole
+    return {**loops, "whole": (law.follows, whole)}
 
 
 def _velocity_alone(form: LinearLaw) -> LinearLaw:
-    """``form`` of a law of position error and velocity, with the position error held: what brakes is left."""
+    """``form`` of a law of position error and velocity with the position error held at zero: its velocity feedback."""
     B, D = form.B.copy(), form.D.copy()
     for columns in (B, D):
         columns[..., _POSITION] += columns[..., _REFERENCE]
@@ -247,8 +247,8 @@ def _velocity_alone(form: LinearLaw) -> LinearLaw:
     return replace(form, B=B, D=D)
 
 
-def _hears(form: LinearLaw) -> bool:
-    """Whether a law answers to a position."""
+def _reads_position(form: LinearLaw) -> bool:
+    """Whether the command of a law depends on the position."""
     return bool(np.any(form.D[..., _POSITION]) or np.any(form.used()))
 
 
@@ -275,11 +275,11 @@ def _sampled(
     )
 
 
-FOLLOWED = ("position", "velocity", "")  # and by the last the velocity loop alone, whose error is at the plant input
+FOLLOWED = ("position", "velocity", "")  # the last: a velocity loop alone, with its error at the plant input
 
 
 def _closed(loop: SampledLoop, plant: SampledPlant, follows: str) -> Callable[[np.ndarray], np.ndarray]:
-    """What the closed loop makes of its reference: the position, or the velocity as the law estimates it."""
+    """Response of the closed loop to its reference: of the position, or of the velocity as the law estimates it."""
 
     def velocity(w: np.ndarray) -> np.ndarray:
         return loop.response(w, "voltage", "reference") * plant.response(w)
@@ -333,36 +333,35 @@ def _continuous(loop: ContinuousLoop, plant: SampledPlant, name: str, follows: s
 
 
 def _bounded(margins: Margins) -> Margins:
-    """``margins`` without a gain margin that is none: what crosses so far up is rounding."""
+    """``margins`` without a gain margin above :data:`MOST_GAIN`, which is rounding."""
     far = margins.gain_margin is not None and margins.gain_margin > MOST_GAIN
     return replace(margins, gain_margin=None, gain_margin_frequency=None) if far else margins
 
 
 def _other(margins: Margins, error: Margins) -> Margins | None:
-    """``error`` where these are other margins than ``margins``."""
+    """Return ``error`` if it differs from ``margins``, otherwise None."""
     both = [(getattr(margins, name), getattr(error, name)) for name in ("phase_margin_deg", "crossover")]
     alike = all(a is None or b is None or math.isclose(a, b, rel_tol=1e-6) for a, b in both)
     return None if alike else error
 
 
 def _least_damped(poles: np.ndarray, *frequencies: float | None) -> tuple[float | None, float | None]:
-    """Natural frequency [rad/s] and damping of the pole of ``poles`` (n,) [1/s] that is damped least.
+    """Return natural frequency [rad/s] and damping of the least damped of ``poles`` (n,) [1/s].
 
-    Poles far above the ``frequencies`` [rad/s] of the loop, those that are known, do not count; of real ones the
-    slowest does.
+    Poles far above the known ``frequencies`` [rad/s] of the loop do not count; of real poles the slowest does.
 
-    >>> found = _least_damped(np.array([-20.0, -3.0 + 4.0j, -3.0 - 4.0j, -90.0 + 500.0j]), 6.0)
-    >>> [round(x, 6) for x in found], _least_damped(np.array([-4.0, -1.0]), None)
+    >>> pole = _least_damped(np.array([-20.0, -3.0 + 4.0j, -3.0 - 4.0j, -90.0 + 500.0j]), 6.0)
+    >>> [round(x, 6) for x in pole], _least_damped(np.array([-4.0, -1.0]), None)
     ([5.0, 0.6], (1.0, 1.0))
     """
     known = [w for w in frequencies if w is not None]
     near = [pole for pole in poles if pole and (not known or abs(pole) <= FAR * max(known))]
-    pole = complex(min(near or poles, key=lambda one: (round(-one.real / abs(one), 9), abs(one)), default=0.0))
+    pole = complex(min(near or poles, key=lambda pole: (round(-pole.real / abs(pole), 9), abs(pole)), default=0.0))
     return (abs(pole), -pole.real / abs(pole)) if pole else (None, None)
 
 
 def _minus_3_db(response: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) -> float | None:
-    """First frequency [rad/s] at which a closed ``response`` has fallen to -3 dB of what it is at rest; None: never."""
+    """First frequency [rad/s] at which a closed-loop ``response`` has fallen by 3 dB; None: never."""
     grid = further_down(grid)
     size = np.abs(response(grid))
     level = MINUS_3_DB * size[0]

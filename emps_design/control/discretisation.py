@@ -4,10 +4,9 @@ The voltage computed at sample k is held over [t_k + delay, t_k+1 + delay), wher
 samples plus the delays of the axis's effects, fractions of a sample included. The velocity is estimated from the
 increments of the encoder's position q by the law's :mod:`~emps_design.laws.estimators`.
 
-Where a frequency response is narrow, at resonances of a plant and notches of a law, and what to look at there.
-
-A grid that steps over a narrow peak reads margins that no loop has. A peak is a frequency [rad/s] and a damping ratio,
-half the relative width; in the z plane it belongs to a root ``z = exp((-damping w + j w) T)`` beside the unit circle.
+A frequency grid must resolve resonances of the plant and notches of the law: one that steps over a narrow peak gives
+wrong margins. A peak is a frequency [rad/s] and a damping ratio, half its relative width; in the z plane it belongs to
+a root ``z = exp((-damping w + j w) T)`` close to the unit circle.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ if TYPE_CHECKING:
     import control
 
 Peaks = Sequence[tuple[float, float]]
-BROAD = 0.5  # damping ratio from which on any grid is fine enough
-NARROWEST = 1e-6  # what is narrower is looked at as if it had this damping ratio
-BESIDE_CENTRE = 1e-9  # relative, of the point nearest to a centre: at an undamped one there is no response
+BROAD = 0.5  # damping ratio above which any grid is fine enough
+NARROWEST = 1e-6  # least damping ratio for which the grid is refined
+BESIDE_CENTRE = 1e-9  # relative distance of a grid point from the centre, where an undamped peak is infinite
 
 
 def oscillations(A: np.ndarray) -> Peaks:
@@ -59,7 +58,7 @@ def peaks_of_roots(roots: np.ndarray, period: float) -> Peaks:
 
 
 def filter_peaks(filters: Iterable[Filter], period: float) -> Peaks:
-    """The peaks of sampled ``filters``: of a notch those of its poles and of its zeros, narrower by its depth.
+    """Peaks of sampled ``filters``, from poles and zeros; those of a notch's zeros are narrower by its depth.
 
     >>> notch = Filter(kind="notch", frequency=50.0, damping=0.1, depth=0.1)
     >>> [(round(w, 1), round(z, 3)) for w, z in filter_peaks([notch], 1e-3)]  # 2/T atan(pi f T) = 311.6 rad/s
@@ -67,32 +66,32 @@ def filter_peaks(filters: Iterable[Filter], period: float) -> Peaks:
     """
     return sorted(
         peak
-        for one in filters
-        for side in filter_polynomials(one, period)
+        for section in filters
+        for side in filter_polynomials(section, period)
         for peak in peaks_of_roots(np.roots(side), period)
     )
 
 
 def law_peaks(law: LinearLaw, period: float) -> Peaks:
-    """The peaks of any law from position to command, its notches among them; of several rates those of the fastest."""
+    """Peaks of any law from position to command, including its notches; at several rates those of the fastest."""
     A, B, C, D = (x if law.cycle == 1 else x[-1] for x in (law.A, law.B[..., 1], law.C, law.D[..., 1]))
-    found = [*peaks_of_roots(np.linalg.eigvals(A), period)]
+    peaks = [*peaks_of_roots(np.linalg.eigvals(A), period)]
     if D != 0.0:
-        found += peaks_of_roots(np.linalg.eigvals(A - np.outer(B, C) / D), period)
-    return sorted(found)
+        peaks += peaks_of_roots(np.linalg.eigvals(A - np.outer(B, C) / D), period)
+    return sorted(peaks)
 
 
 def frequencies_around(peaks: Peaks) -> np.ndarray:
-    """Frequencies [rad/s] at the centres of ``peaks`` and beside them, as close together as each is narrow.
+    """Return frequencies [rad/s] at and around the centres of ``peaks``, spaced by the width of each.
 
     >>> frequencies_around([(10.0, 0.1)]).size
     65
     """
-    found = []
+    grid = []
     for w, damping in peaks:
         beside = max(damping, NARROWEST) * w * np.geomspace(0.1, 100.0, 32)
-        found += [w - beside, [w * (1.0 + BESIDE_CENTRE)], w + beside]
-    return np.concatenate([np.zeros(0), *found])
+        grid += [w - beside, [w * (1.0 + BESIDE_CENTRE)], w + beside]
+    return np.concatenate([np.zeros(0), *grid])
 
 
 @dataclass(frozen=True)
@@ -102,8 +101,8 @@ class SampledPlant:
     ``delay`` is d, whole samples; G1 carries the fraction of a sample; ``f`` is a force on the carriage, held like u.
     ``linear`` is the continuous plant it came from. Arrays may have leading axes, for many plants at once.
 
-    ``filters`` are those of the law's output, as :mod:`emps_design.laws.library.cascade` has them. Responses and
-    polynomials hold them, for gains that are chosen around both; the states do not, as a loop is closed with the law's.
+    ``filters`` are those at the law's output, see :mod:`emps_design.laws.library.cascade`. Responses and polynomials
+    include them, so that gains can be chosen for both; the states do not: a closed loop takes them from the law.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2019"))
@@ -130,7 +129,7 @@ class SampledPlant:
 
     @cached_property
     def integrates(self) -> np.ndarray:
-        """Whether nothing depends on where the carriage is, shape (...)."""
+        """Whether nothing depends on the position of the carriage, shape (...)."""
         return np.all(self.Phi[..., :, POSITION] == np.eye(self.Phi.shape[-1])[POSITION], axis=-1)
 
     @cached_property
@@ -142,8 +141,8 @@ class SampledPlant:
     def polynomials(self) -> tuple[np.ndarray, np.ndarray]:
         """Numerator and denominator in z, highest power first, of u -> velocity estimate, all delays included."""
         numerator, denominator = self._own_polynomials
-        for one in self.filters:
-            b, a = filter_polynomials(one, self.period)
+        for section in self.filters:
+            b, a = filter_polynomials(section, self.period)
             numerator, denominator = np.polymul(numerator, b), np.polymul(denominator, a)
         return numerator, denominator
 
@@ -328,7 +327,7 @@ def sample_axis(axis: Axis, velocity: float = 0.1, filters: tuple[Filter, ...] =
     return replace(plant, filters=filters) if filters else plant
 
 
-BESIDE = 1.5  # ratio of frequencies: what lies so near a resonance belongs to it
+BESIDE = 1.5  # ratio of frequencies up to which a frequency belongs to a resonance
 
 
 def filter_response(filters: Iterable[Filter], w: np.ndarray, period: float) -> np.ndarray:
@@ -338,14 +337,14 @@ def filter_response(filters: Iterable[Filter], w: np.ndarray, period: float) -> 
     >>> round(float(abs(filter_response([notch], np.array([314.16]), 1e-4)[0])), 3)
     0.1
     """
-    found = np.ones(np.shape(w), dtype=complex)
+    response = np.ones(np.shape(w), dtype=complex)
     if not filters:
-        return found
+        return response
     z = np.exp(1j * np.asarray(w) * period)
-    for one in filters:
-        b, a = filter_polynomials(one, period)
-        found = found * np.polyval(b, z) / np.polyval(a, z)
-    return found
+    for section in filters:
+        b, a = filter_polynomials(section, period)
+        response = response * np.polyval(b, z) / np.polyval(a, z)
+    return response
 
 
 def expm(matrices: np.ndarray) -> np.ndarray:
@@ -375,7 +374,7 @@ def _whole_and_fraction(delay: Any, period: float) -> tuple[Any, Any]:
 
 
 def _late(linear: LinearPlant, fraction: Any, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """What the newer and the older voltage add to the states when the newer comes ``fraction`` [s] into the period."""
+    """Input vectors of the newer and the older voltage if the newer arrives ``fraction`` [s] into the period."""
     late, (newer,) = _held(linear.A, (linear.B,), period - np.asarray(fraction))
     _, (older,) = _held(linear.A, (linear.B,), fraction)
     return newer, (late @ older[..., None])[..., 0]

@@ -84,19 +84,19 @@ def largest_force_gain(
 
 
 def first_instability(stable: Callable[[np.ndarray], np.ndarray], start: float) -> float | None:
-    """The gain where ``stable``, asked of many gains at once, turns false; None below 1e9 starts, 0.0 at ``start``."""
+    """Smallest gain with ``stable`` false, a function of many gains at once; None above 1e9 ``start``, 0.0 at once."""
     low, high = 0.0, start
-    while bool(np.all(found := stable(grid := high * 1.15 ** np.arange(16.0)))):
+    while bool(np.all(verdicts := stable(grid := high * 1.15 ** np.arange(16.0)))):
         low, high = float(grid[-1]), float(grid[-1]) * 1.15
         if low > 1e9 * start:
             return None
     while True:
-        first = int(np.argmin(found))
+        first = int(np.argmin(verdicts))
         low, high = (float(grid[first - 1]) if first else low), float(grid[first])
         if low == 0.0 or high - low <= 1e-12 * high:
             return low
         grid = np.linspace(low, high, 18)[1:]
-        found = stable(grid)
+        verdicts = stable(grid)
 
 
 @dataclass(frozen=True)
@@ -210,32 +210,29 @@ class ForceLoopDesign:
 
     @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
-        """The loops that will run: the velocity loop, free of any operator, and the force loop in contact.
-
-        Those of an axis with effects are there for motion the other way too.
-        """
+        """The velocity loop without an operator and the force loop in contact; with effects, in both directions."""
         ways: list[tuple[ForceLoopDesign, dict[str, float]]] = [(self, {})]
         if self.velocity_loop.axis.effects:
             back = -self.velocity_loop.velocity
             loop = replace(self.velocity_loop, velocity=back)
             ways.append((replace(self, velocity_loop=loop), {"velocity": back}))
-        found = []
-        for one, where in ways:
-            free = one.velocity_loop.sampled.margins
-            found.append(NestedLoop(VELOCITY_LOOP, PLANT_INPUT, free, where))
-            found.append(NestedLoop(FORCE_LOOP, VELOCITY_REFERENCE, one.margins, where))
-        return tuple(found)
+        loops = []
+        for design, where in ways:
+            free = design.velocity_loop.sampled.margins
+            loops.append(NestedLoop(VELOCITY_LOOP, PLANT_INPUT, free, where))
+            loops.append(NestedLoop(FORCE_LOOP, VELOCITY_REFERENCE, design.margins, where))
+        return tuple(loops)
 
     @property
     def worst(self) -> NestedLoop:
-        """The loop that the design stands or falls with."""
+        """The loop with the smallest margins."""
         return worst_loop(self.loops)
 
     @property
     def nearest_stable(self) -> dict[str, Any]:
-        """A stable k_e1 next to the limit [(m/s)/N], the gain itself where that is; empty where none is stable.
+        """A stable k_e1 [(m/s)/N] close to the limit, or the gain itself if it is stable; empty if none is stable.
 
-        Where the velocity loop is unstable by itself it is what may be asked of that.
+        If the velocity loop itself is unstable, the nearest specification that it can meet.
         """
         if not self.velocity_loop.sampled.stable:
             return self.velocity_loop.nearest_stable if self.velocity_loop.requested else {}
@@ -319,7 +316,7 @@ class ForceLoopDesign:
         return self.k_e1 * self.k_c * self.velocity_loop.closed_loop()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data with the keys of the contract; the limits for both readings of where the force acts."""
+        """The JSON document, with the limits for a force on the sensor alone and on the carriage too."""
         other = replace(self, on_carriage=not self.on_carriage)
         by_place = {place.on_carriage: place for place in (self, other)}
         limits = {
@@ -334,7 +331,7 @@ class ForceLoopDesign:
             "k_c": self.k_c,
             "structure": self.velocity_loop.structure.form,
             "reference_filter": self.velocity_loop.structure.reference_filter,
-            "filters": [one.model_dump(exclude_none=True) for one in self.velocity_loop.filters],
+            "filters": [section.model_dump(exclude_none=True) for section in self.velocity_loop.filters],
             "k_v1": self.velocity_loop.k_v1,
             "t_v": self.velocity_loop.t_v,
             "operator": {

@@ -38,10 +38,10 @@ from emps_design.quantities import check_magnitude
 if TYPE_CHECKING:
     import control
 
-EDGE = 0.99  # share of the largest voltage that acts at which a saturated map is looked at, from inside
+EDGE = 0.99  # share of the largest acting voltage at which a saturated map is linearised
 
 PLACES = 64  # along one repeat of an effect
-SETTLED = 2.0  # s, after which own states that Newton does not bring to rest are near it
+SETTLED = 2.0  # s of integration for own states whose equilibrium Newton's method does not reach
 CORNER = 1e-3  # relative difference of the slopes on either side of a place, above which it is a corner
 
 POSITION, VELOCITY = 0, 1
@@ -49,12 +49,12 @@ POSITION, VELOCITY = 0, 1
 
 @dataclass(frozen=True)
 class ActuatorMap:
-    """What becomes of a command [V] up to ``limit`` [V] on its way through ``maps``, in this order.
+    """The static maps of the actuator: a command [V] up to ``limit`` [V] goes through ``maps``, in this order.
 
     >>> from emps_design.machines import machine
     >>> deadzone = {"kind": "actuator_deadzone", "width": 0.2}
-    >>> found = ActuatorMap.of(machine("emps2018").replace(effects=[deadzone]))
-    >>> round(found.acting(10.0), 6), round(found.command(0.5), 6), round(found.slope(0.0), 6)
+    >>> actuator = ActuatorMap.of(machine("emps2018").replace(effects=[deadzone]))
+    >>> round(actuator.acting(10.0), 6), round(actuator.command(0.5), 6), round(actuator.slope(0.0), 6)
     (9.8, 0.7, 1.0)
     """
 
@@ -65,24 +65,24 @@ class ActuatorMap:
     @classmethod
     def of(cls, axis: Axis) -> ActuatorMap:
         """The maps of the effects of ``axis``, in their order."""
-        found = [(entry.effect, entry.effect.values(entry.parameters)) for entry in axis.effects]
-        found = [(effect, p) for effect, p in found if effect.actuator is not None]
-        maps = tuple(lambda u, effect=effect, p=p: float(effect.actuator(u, p)) for effect, p in found)
-        return cls(axis.drive.command_limit, maps, tuple(effect.name for effect, _ in found))
+        static = [(entry.effect, entry.effect.values(entry.parameters)) for entry in axis.effects]
+        static = [(effect, p) for effect, p in static if effect.actuator is not None]
+        maps = tuple(lambda u, effect=effect, p=p: float(effect.actuator(u, p)) for effect, p in static)
+        return cls(axis.drive.command_limit, maps, tuple(effect.name for effect, _ in static))
 
     def acting(self, command: float) -> float:
-        """The voltage that acts [V] when ``command`` [V] is asked for."""
+        """The acting voltage [V] for a ``command`` [V]."""
         for step in self.maps:
             command = step(command)
         return command
 
     def reach(self, acting: float) -> float:
-        """``acting`` [V], or the largest voltage of its sign that acts within the limit, where that is smaller."""
+        """``acting`` [V], limited to the largest acting voltage of its sign."""
         side = -1.0 if acting < 0.0 else 1.0
         return side * min(abs(acting), abs(self.acting(side * self.limit)))
 
     def command(self, acting: float) -> float:
-        """The smallest command [V] with which ``acting`` [V] acts, as far as the limit lets it."""
+        """The smallest command [V] that gives the ``acting`` voltage [V], up to the limit."""
         if not self.maps:
             return acting
         wanted, side = abs(self.reach(acting)), -1.0 if acting < 0.0 else 1.0
@@ -104,7 +104,7 @@ class ActuatorMap:
         step = 1e-3 * (self.acting(side * self.limit) * side - inside)
         if step <= 0.0:
             return 0.0
-        # Away from zero, so that a dead zone is left behind and not straddled.
+        # Away from zero, beyond a dead zone.
         near, far = (self.command(side * (inside + count * step)) for count in (1, 2))
         return step / abs(far - near)
 
@@ -393,7 +393,9 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         )
     firsts = [2 + sum(sizes[:i]) for i in range(len(sizes))]  # of each member's states
     lags = [(-1, lag)] * (lag > 0.0)
-    lags += [(first, one.lag(velocity, tau)) for first, one in zip(firsts, members, strict=True) if one.effect.lag]
+    lags += [
+        (first, member.lag(velocity, tau)) for first, member in zip(firsts, members, strict=True) if member.effect.lag
+    ]
     force_row, force_in = np.zeros(count), slope  # d(motor force behind the lags)/d(state) and /d(voltage)
     for place, constant in lags:
         A[place], B[place] = force_row / constant, force_in / constant

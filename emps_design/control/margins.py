@@ -95,14 +95,14 @@ def margin_arrays(
 ) -> dict[str, np.ndarray]:
     """Return the margins of ``count`` loops as arrays, NaN where a margin is unbounded.
 
-    ``response(w, rows)`` gives the open loop of the loops numbered ``rows`` at ``w`` [rad/s]; both broadcast.
-    ``frequencies`` [rad/s] ascending brackets the crossings, which are then refined to 1e-12; where a loop is below
-    0 dB at the first, :func:`further_down` too. ``nyquist`` [rad/s] is that of sampled loops, where the response
-    is real and may be -1. ``delayed(w, rows, delay)`` is the open loop with a ``delay`` [s] more, arrays (n,): where
-    given, the delay margin is exact between whole samples too. Keys: those of ``KEYS``, and ``LOWEST``.
+    ``response(w, rows)`` is the open loop of the loops with indices ``rows`` at ``w`` [rad/s]; both broadcast.
+    ``frequencies`` [rad/s], ascending, bracket the crossings, which are then refined to 1e-12; if a loop is below
+    0 dB at the first, :func:`further_down` extends them. ``nyquist`` [rad/s] is that of sampled loops, where the
+    response is real and may be -1. ``delayed(w, rows, delay)`` is the open loop with an additional ``delay`` [s],
+    arrays (n,): with it the delay margin is exact between whole samples too. Keys: those of ``KEYS``, and ``LOWEST``.
 
-    >>> found = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
-    >>> round(float(found["gain_margin"][0]), 6), round(float(found["gain_margin_frequency"][0]), 6)
+    >>> arrays = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
+    >>> round(float(arrays["gain_margin"][0]), 6), round(float(arrays["gain_margin_frequency"][0]), 6)
     (20.0, 10.0)
     """
     rows = np.arange(count)[:, None]
@@ -112,7 +112,7 @@ def margin_arrays(
         frequencies = further_down(frequencies)
         loop = response(frequencies[None, :], rows)
         inside = loop.real**2 + loop.imag**2 < 1.0
-    found = {key: np.full(count, np.nan) for key in (*KEYS, LOWEST)}
+    margins = {key: np.full(count, np.nan) for key in (*KEYS, LOWEST)}
 
     where, place = np.nonzero(inside[:, 1:] != inside[:, :-1])
     if where.size:
@@ -123,12 +123,12 @@ def margin_arrays(
         )
         lag = np.mod(np.angle(response(w, where)) + np.pi, 2.0 * np.pi)
         lag[lag > 2.0 * np.pi - ROUNDING] = 0.0
-        _keep_smallest(where, lag, {"phase_margin_deg": np.degrees(lag), "crossover": w}, found)
-        _keep_smallest(where, w, {LOWEST: w}, found)
+        _keep_smallest(where, lag, {"phase_margin_deg": np.degrees(lag), "crossover": w}, margins)
+        _keep_smallest(where, w, {LOWEST: w}, margins)
         delay = lag / w
         if delayed is not None and nyquist is not None:
             delay = _exact_delay(delayed, where, w, delay, nyquist)
-        _keep_smallest(where, delay, {"delay_margin": delay}, found)
+        _keep_smallest(where, delay, {"delay_margin": delay}, margins)
 
     crossing = (loop.imag[:, 1:] < 0.0) != (loop.imag[:, :-1] < 0.0)
     # A sign change of the imaginary part far on the positive side is no crossing of the negative real axis.
@@ -136,15 +136,15 @@ def margin_arrays(
     where, place = np.nonzero(crossing)
     if where.size:
         w = _refine(lambda w, which: _sine(response(w, where[which])), frequencies[place], frequencies[place + 1])
-        _keep_gains(response(w, where).real, where, w, found)
+        _keep_gains(response(w, where).real, where, w, margins)
     below = np.flatnonzero(inside[:, 0] & (np.abs(loop[:, 0].imag) < AT_REST * np.abs(loop[:, 0].real)))
     if below.size:  # no integral action: at rest the response is real, and may be -1 there
-        _keep_gains(loop[below, 0].real, below, np.full(below.size, frequencies[0]), found)
+        _keep_gains(loop[below, 0].real, below, np.full(below.size, frequencies[0]), margins)
     if nyquist is not None:
         everything = np.arange(count)
         at_nyquist = np.full(count, nyquist)
-        _keep_gains(response(at_nyquist, everything).real, everything, at_nyquist, found)
-    return found
+        _keep_gains(response(at_nyquist, everything).real, everything, at_nyquist, margins)
+    return margins
 
 
 def loop_margins(
@@ -154,11 +154,11 @@ def loop_margins(
     period: float | None = None,
     delayed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Margins:
-    """Return the margins of one loop whose closed-loop poles are known to be ``stable`` or not.
+    """Return the margins of one loop; ``stable`` says whether its closed-loop poles are.
 
     ``response(w)`` is the open loop at ``w`` [rad/s]; ``frequencies`` [rad/s] ascending; ``period`` [s] of a sampled
-    loop; ``delayed(w, delay)`` as for :func:`margin_arrays`. An unstable loop gets no margins: what a frequency
-    response reads there is not a distance to instability.
+    loop; ``delayed(w, delay)`` as for :func:`margin_arrays`. An unstable loop gets no margins: its frequency response
+    shows no distance to instability.
 
     >>> loop_margins(lambda w: 2.0 / (1j * w), np.geomspace(0.1, 10, 20), stable=True).crossover
     2.0
@@ -169,14 +169,14 @@ def loop_margins(
     later = None if delayed is None else lambda w, rows, delay: delayed(w, delay)
     if abs(response(frequencies[:1])[0]) < 1.0:
         frequencies = further_down(frequencies)
-    found = margin_arrays(lambda w, rows: response(w), 1, frequencies, nyquist, later)
-    value = {key: None if math.isnan(found[key][0]) else float(found[key][0]) for key in KEYS}
+    arrays = margin_arrays(lambda w, rows: response(w), 1, frequencies, nyquist, later)
+    value = {key: None if math.isnan(arrays[key][0]) else float(arrays[key][0]) for key in KEYS}
     disk = disk_margin(response, frequencies if nyquist is None else np.append(frequencies, nyquist))
     return Margins(stable=True, period=period, disk_margin=disk, **value)
 
 
 def further_down(frequencies: np.ndarray) -> np.ndarray:
-    """Return ``frequencies`` (n,) [rad/s] begun five decades lower, for a loop that is slower than the first of them.
+    """Return ``frequencies`` (n,) [rad/s] extended by five decades downwards, for a loop that is slower than the first.
 
     >>> further_down(np.array([1.0, 2.0]))[[0, -2, -1]].round(9).tolist()
     [1e-05, 1.0, 2.0]
@@ -196,9 +196,9 @@ def disk_margin(response: Callable[[np.ndarray], np.ndarray], frequencies: np.nd
     """
     w, largest = frequencies, 0.0
     for _ in range(5):
-        found = disk_size(response(w))
-        at = int(np.argmax(found))
-        largest = max(largest, float(found[at]))
+        sizes = disk_size(response(w))
+        at = int(np.argmax(sizes))
+        largest = max(largest, float(sizes[at]))
         w = np.geomspace(w[max(at - 1, 0)], w[min(at + 1, w.size - 1)], 33)
     return 1.0 / largest
 
@@ -221,8 +221,8 @@ def _exact_delay(
 ) -> np.ndarray:
     """Delays [s] at which the loops ``rows`` reach -1, from their crossovers ``w`` and lag over frequency ``delay``.
 
-    Newton's rule for the logarithm of minus the loop, in the logarithm of frequency and in samples of delay. Where it
-    finds nothing the delay of the phase alone is kept, which is right for whole samples.
+    Newton's method for the logarithm of minus the loop, in the logarithm of frequency and in samples of delay. Where it
+    does not converge, the delay of the phase alone is kept, which is exact for whole samples.
     """
     period, small = math.pi / nyquist, 1e-6
     x, y, slopes = np.log(w), delay / period, np.zeros((2, w.size), dtype=complex)
@@ -231,22 +231,22 @@ def _exact_delay(
         return np.log(-delayed(np.exp(x[which] + dx), rows[which], (y[which] + dy) * period))
 
     active = np.arange(w.size)
-    left = gap(active)
+    residual = gap(active)
     for turn in range(60):
         if turn % 10 == 0:  # the slopes of the start serve the nearest steps too
-            slopes[:, active] = [(gap(active, *by) - left[active]) / small for by in ((small, 0.0), (0.0, small))]
-        by_x, by_y, now = slopes[0, active], slopes[1, active], left[active]
+            slopes[:, active] = [(gap(active, *by) - residual[active]) / small for by in ((small, 0.0), (0.0, small))]
+        by_x, by_y, now = slopes[0, active], slopes[1, active], residual[active]
         determinant = by_x.real * by_y.imag - by_x.imag * by_y.real
         with np.errstate(divide="ignore", invalid="ignore"):
             step_x = (now.imag * by_y.real - now.real * by_y.imag) / determinant
             step_y = (now.real * by_x.imag - now.imag * by_x.real) / determinant
         x[active] = np.minimum(x[active] + np.clip(np.nan_to_num(step_x), -0.2, 0.2), math.log(nyquist))
         y[active] = np.maximum(y[active] + np.clip(np.nan_to_num(step_y), -0.3, 0.3), 1e-9)
-        left[active] = gap(active)
-        active = active[np.abs(left[active]) > 1e-12]
+        residual[active] = gap(active)
+        active = active[np.abs(residual[active]) > 1e-12]
         if not active.size:
             break
-    return np.where(np.abs(left) < 1e-9, y * period, delay)
+    return np.where(np.abs(residual) < 1e-9, y * period, delay)
 
 
 def _sine(value: np.ndarray) -> np.ndarray:
@@ -255,25 +255,25 @@ def _sine(value: np.ndarray) -> np.ndarray:
 
 
 def _keep_smallest(
-    where: np.ndarray, key: np.ndarray, values: dict[str, np.ndarray], found: dict[str, np.ndarray]
+    where: np.ndarray, key: np.ndarray, values: dict[str, np.ndarray], margins: dict[str, np.ndarray]
 ) -> None:
-    """Write into ``found`` the ``values`` of the smallest ``key`` of every loop in ``where``."""
+    """Write into ``margins`` the ``values`` at the smallest ``key`` of every loop in ``where``."""
     order = np.argsort(-key, kind="stable")  # the smallest is written last
     for name, value in values.items():
-        found[name][where[order]] = value[order]
+        margins[name][where[order]] = value[order]
 
 
-def _keep_gains(value: np.ndarray, where: np.ndarray, w: np.ndarray, found: dict[str, np.ndarray]) -> None:
-    """Keep the gain margins that real values of the loops ``where`` at ``w`` [rad/s] mean, where they are smaller."""
+def _keep_gains(value: np.ndarray, where: np.ndarray, w: np.ndarray, margins: dict[str, np.ndarray]) -> None:
+    """Keep the gain margins that follow from real values of the loops ``where`` at ``w`` [rad/s], if smaller."""
     more = (value < 0.0) & (value > -1.0)
     factor, rows, at = -1.0 / value[more], where[more], w[more]
-    nearer = ~(factor >= found["gain_margin"][rows])  # NaN: none yet
+    nearer = ~(factor >= margins["gain_margin"][rows])  # NaN: none yet
     values = {"gain_margin": factor[nearer], "gain_margin_frequency": at[nearer]}
-    _keep_smallest(rows[nearer], factor[nearer], values, found)
+    _keep_smallest(rows[nearer], factor[nearer], values, margins)
     less = value < -1.0
     factor, rows = -1.0 / value[less], where[less]
-    nearer = ~(factor <= found["gain_reduction_margin"][rows])
-    _keep_smallest(rows[nearer], -factor[nearer], {"gain_reduction_margin": factor[nearer]}, found)
+    nearer = ~(factor <= margins["gain_reduction_margin"][rows])
+    _keep_smallest(rows[nearer], -factor[nearer], {"gain_reduction_margin": factor[nearer]}, margins)
 
 
 def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -290,7 +290,7 @@ def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.nd
         fc = function(np.exp(c), active)
         root[active] = c
         other = np.sign(fc) == np.sign(fb[active])
-        # The end that stays put counts half, so that neither end gets stuck.
+        # The value at an unchanged end is halved, so that neither end gets stuck.
         a_next = np.where(other, a[active], b[active])
         fa_next = np.where(other, 0.5 * fa[active], fb[active])
         moved = np.abs(c - b[active])

@@ -1,20 +1,15 @@
-"""The loops of an axis's controller within one another, each with its margins and where it is broken for them.
+"""The nested loops of an axis's controller, each with the point where it is broken and its margins there.
 
 The velocity loop is broken at the plant input with the position loop open; the position loop at the position error with
-the velocity loop closed, at the rate at which it runs: there it is one sampled loop, whatever the rate inside. Last
-comes the whole loop at the plant input, where a delay or a current loop sits; of different rates it is periodic.
+the velocity loop closed, at its own rate, so that it is one sampled loop whatever the rate inside. The last is the
+whole loop at the plant input, where a delay or a current loop acts; with different rates it is periodic. Each is one
+:class:`NestedLoop`. A design is as good as the worst of them, over a range of loads and a mismatch of the model.
 
-The worst of several loops: a design is as good as that one, whichever loop and on whichever machine it is.
-
-A velocity loop runs inside a position loop, both inside a drive, and all of them may have to hold over a range of
-loads, under a mismatch of the model or on a plant that was measured. Each is one :class:`~.nested.NestedLoop`.
-
-A loop in the limit of ever faster sampling: the law without hold or estimator, the plant with every lag it has.
-
-The law is its own kernel, set up for periods far below the axis's and extrapolated to none (Richardson's rule), so any
-law has such a limit, a user's own too, and no second formula has to agree with the first. What is left around it are
-the lags of the axis: current loop, computation delay, lags and delays among its effects. With ``u = F(s) r + H(s) q``
-for the law and ``q = P(s) u`` for the plant the loop is
+:class:`ContinuousLoop` is a loop in the limit of ever faster sampling: the law without hold or estimator, the plant
+with all its lags. The law's own kernel is set up for periods far below the axis's and extrapolated to zero
+(Richardson), so every law has this limit, a user's too, without a second formula. What remains are the lags of the
+axis: current loop, computation delay, lags and delays among its effects. With ``u = F(s) r + H(s) q`` for the law and
+``q = P(s) u`` for the plant the loop is
 
     -H P                          broken at the plant input
     F P / (1 - (F + H) P)         broken at the position error
@@ -61,8 +56,8 @@ _REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
 
 SHORTER = (1e-3, 5e-4, 2.5e-4)  # of the period, at which the law is set up
 WEIGHTS = (1.0 / 3.0, -2.0, 8.0 / 3.0)  # of these three in their limit: errors of h and h^2 cancel
-HIGHEST = 30.0  # Nyquist frequencies up to which a response is looked at
-STARTS, MOST_DELAY = 16, 100  # samples a period, and samples of delay at most, where poles are first looked for
+HIGHEST = 30.0  # upper end of the frequency grid, in Nyquist frequencies
+STARTS, MOST_DELAY = 16, 100  # samples per period and largest delay in samples of the loop that gives initial poles
 SLOWEST = 8  # poles that are refined
 
 LawAt = Callable[[float], LinearLaw]  # the linear form of a law at a period [s]
@@ -72,7 +67,7 @@ LawAt = Callable[[float], LinearLaw]  # the linear form of a law at a period [s]
 class NestedLoop:
     """One loop of a controller: its ``name``, where it is ``broken``, and its margins there.
 
-    ``where`` has what its machine has different from the axis, as :func:`~.worst.where_in_words` reads it.
+    ``where`` holds the differences of its machine from the axis, see :func:`where_in_words`.
     """
 
     name: str
@@ -81,7 +76,7 @@ class NestedLoop:
     where: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: name, place, margins, and the machine where that is another than the axis."""
+        """Plain data: name, place, margins, and the machine if it differs from the axis."""
         where = {"where": dict(self.where)} if self.where else {}
         return {"name": self.name, "broken": self.broken, **where, **self.margins.to_dict()}
 
@@ -89,12 +84,11 @@ class NestedLoop:
 def nested_loops(
     axis: Axis, velocity: float = 0.1, delay: float = 0.0, delay_margins: bool = True
 ) -> tuple[NestedLoop, ...]:
-    """The loops of the controller of ``axis``, innermost first and the whole last; linearised at ``velocity`` [m/s].
+    """Return the loops of the controller of ``axis``, innermost first and the whole last.
 
-    ``delay`` [s] of the command comes on top. A controller that has a velocity loop and nothing else is that one loop.
-    Without ``delay_margins`` those of loops of different rates, which take longest, are left out.
-
-    Raises :class:`~emps_design.errors.AxisError` where the axis has no controller.
+    The axis is linearised at ``velocity`` [m/s]; ``delay`` [s] adds to that of the command. A controller with a
+    velocity loop alone has one loop. ``delay_margins`` False omits those of loops of different rates, which take
+    longest. Raises :class:`~emps_design.errors.AxisError` if the axis has no controller.
 
     >>> from emps_design.machines import machine
     >>> cascade = {"kind": "cascade", "position": {"kp": 30.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
@@ -109,25 +103,25 @@ def nested_loops(
     plant = plant.delayed(delay) if delay else plant
     whole = law_of(axis, period)
     kind = get_law(axis.controller.kind)
-    found = []
+    loops = []
     for name, table in kind.loops(table_of(axis)) if kind.loops else ():
         law = kind.law(table, axis, period)
         form = linear_law(law, period, direction)
         if law.follows == "velocity":
-            found.append(NestedLoop(name, PLANT_INPUT, at_plant_input(plant, form)))
+            loops.append(NestedLoop(name, PLANT_INPUT, at_plant_input(plant, form)))
         else:
-            found.append(NestedLoop(name, POSITION_ERROR, at_position_error(plant, form)))
-    if len(found) != 1:
-        name = VELOCITY_LOOP if not found and whole.follows == "velocity" else WHOLE
+            loops.append(NestedLoop(name, POSITION_ERROR, at_position_error(plant, form)))
+    if len(loops) != 1:
+        name = VELOCITY_LOOP if not loops and whole.follows == "velocity" else WHOLE
         margins = at_plant_input(plant, linear_law(whole, period, direction), delay_margins)
-        found.append(NestedLoop(name, PLANT_INPUT, margins))
-    return tuple(found)
+        loops.append(NestedLoop(name, PLANT_INPUT, margins))
+    return tuple(loops)
 
 
 def at_plant_input(plant: SampledPlant, form: LinearLaw, delay_margins: bool = True) -> Margins:
-    """Margins of the loop of ``form`` around ``plant``, everything closed, broken at the plant input.
+    """Margins of the loop of ``form`` around ``plant``, broken at the plant input with all inner loops closed.
 
-    That of a delay is left out of loops of different rates without ``delay_margins``.
+    ``delay_margins`` False omits the delay margin of a loop of different rates.
     """
     loop = close(plant, form, plant_input=True)
     if form.cycle > 1:
@@ -148,9 +142,9 @@ def _radius_with(plant: SampledPlant, form: LinearLaw) -> float:
 
 
 def at_position_error(plant: SampledPlant, form: LinearLaw) -> Margins:
-    """Margins of the position loop broken at the position error, at the rate at which it runs.
+    """Margins of the position loop broken at the position error, at its own rate.
 
-    ``form`` hears of position and reference only through their difference, but for velocities of its own.
+    ``form`` must read position and reference only through their difference, except for its velocity estimates.
     """
     A, b, c = position_loop(plant, form)
     period, stable = form.cycle * plant.period, close(plant, form).stable
@@ -160,9 +154,9 @@ def at_position_error(plant: SampledPlant, form: LinearLaw) -> Margins:
 
 
 def position_loop(plant: SampledPlant, form: LinearLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The position loop broken at the position error: ``x[i+1] = A x + b e``, ``q = c x``, one step a cycle of the law.
+    """The position loop broken at the position error: ``x[i+1] = A x + b e``, ``q = c x``, one step per law cycle.
 
-    Read as ``reference + q`` the reference is the error alone; in the other samples of a cycle nothing hears it.
+    With ``reference + q`` as the reference, the reference is the position error; the law reads it once per cycle.
     """
     B, D = form.B.copy(), form.D.copy()
     B[..., _POSITION] += B[..., _REFERENCE]
@@ -196,9 +190,9 @@ def safety(margins: Margins) -> float:
 
 
 def worst_loop(loops: Iterable[NestedLoop]) -> NestedLoop:
-    """Return the one of ``loops``, at least one, with the least :func:`safety`; the first of those that are alike.
+    """Return the loop with the least :func:`safety` of ``loops``, at least one; of equals the first.
 
-    So an unstable loop comes before any stable one, and of several unstable ones the first, which is the innermost.
+    So an unstable loop comes before any stable one, and of several unstable ones the innermost.
 
     >>> from emps_design.control.margins import Margins
     >>> from emps_design.control.nested_loops import NestedLoop
@@ -235,9 +229,9 @@ def loop_in_words(loop: NestedLoop) -> str:
 
 @dataclass(frozen=True)
 class ContinuousLoop:
-    """The loop of a law, given by its form ``law`` at any period [s], around ``plant`` with a ``delay`` [s] more.
+    """The loop of a law, given as ``law`` at any period [s], around ``plant`` with an additional ``delay`` [s].
 
-    ``period`` [s] is the axis's own, by which what is fast and slow is judged.
+    ``period`` [s] is the axis's own and scales the frequency grid.
     """
 
     law: LawAt
@@ -292,7 +286,7 @@ class ContinuousLoop:
         return self.by_reference(s) * self.position(s) / (1.0 + self.at_plant_input(s))
 
     def frequencies(self, sampled: SampledPlant) -> np.ndarray:
-        """A grid [rad/s] that goes on where that of the plant ``sampled`` ends, as fine where the plant resonates."""
+        """Return a frequency grid [rad/s]: that of the plant ``sampled``, extended upwards, fine at resonances."""
         nyquist = np.pi / self.period
         beyond = np.geomspace(nyquist, HIGHEST * nyquist, 150)
         grid = np.concatenate([sampled.frequencies(), beyond, frequencies_around(oscillations(self.plant.A))])
@@ -300,18 +294,18 @@ class ContinuousLoop:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """The slowest poles [1/s], slowest first, one of each pair; as exact as the response is."""
+        """The slowest poles [1/s], slowest first, one of each conjugate pair, refined on the response."""
         h = max(self.period / STARTS, self.delay / MOST_DELAY)
         plant = sample_plant(replace(self.plant, delay=self.delay), h)
         loop = close(plant, self.law(h))
-        found = loop.poles[np.abs(loop.poles) > 1e-6]
-        s = np.log(found) / (loop.cycle * h)
+        z = loop.poles[np.abs(loop.poles) > 1e-6]
+        s = np.log(z) / (loop.cycle * h)
         s = s[s.imag >= 0.0]
-        slow = [self._refined(one) for one in s[np.argsort(-s.real)][:SLOWEST]]
-        return np.array(sorted((one for one in slow if one is not None), key=lambda one: -one.real), dtype=complex)
+        slow = [self._refined(pole) for pole in s[np.argsort(-s.real)][:SLOWEST]]
+        return np.array(sorted((pole for pole in slow if pole is not None), key=lambda pole: -pole.real), dtype=complex)
 
     def _refined(self, pole: complex) -> complex | None:
-        """The root of 1 - H P beside ``pole`` by Newton's rule; None where there is none, as of an estimator's pole."""
+        """The root of 1 - H P near ``pole`` by Newton's method; None if there is none, as for an estimator's pole."""
         s = complex(pole)
         for _ in range(30):
             step = 1e-6 * max(abs(s), 1e-9 / self.period)
@@ -329,9 +323,9 @@ class ContinuousLoop:
 
 
 def _response(form: LinearLaw, period: float, s: np.ndarray, place: int) -> np.ndarray:
-    """Command over the input at ``place`` of a law at ``s`` [1/s]; of several rates the mean over a cycle."""
+    """Command over the input at ``place`` of a law at ``s`` [1/s]; with several rates the mean over a cycle."""
     s = np.asarray(s, dtype=complex)
-    one = form.A, form.B[..., place], form.C, form.D[..., place]
+    matrices = form.A, form.B[..., place], form.C, form.D[..., place]
     if form.cycle == 1:
-        return transfer(*one, np.exp(s * period))
-    return sampled.response(*one, -1j * s.ravel() * period).reshape(s.shape)
+        return transfer(*matrices, np.exp(s * period))
+    return sampled.response(*matrices, -1j * s.ravel() * period).reshape(s.shape)

@@ -1,9 +1,9 @@
-"""The position loop around a velocity loop as it is: its gain for what is wanted of it, sampled, at its own rate.
+"""Design of the position loop around an existing velocity loop: its gain for one specification, sampled, own rate.
 
-What is asked for is one of an overshoot of the answer to a step of the position reference, a -3 dB bandwidth, and a
-stiffness, a step of force over the largest displacement that it makes. All are read from the linear loop that
-:func:`~emps_design.control.sampled.close` closes, the position loop in every n-th sample, without
-feed-forward: that changes what follows the reference, not the loop. Its errors are told for each feed-forward apart.
+The specification is an overshoot of the response to a step of the position reference, a -3 dB bandwidth, or a
+stiffness: a step of force over the largest displacement. All are computed from the linear loop of
+:func:`~emps_design.control.sampled.close`, with the position loop in every n-th sample and without feed-forward, which
+changes the response to the reference but not the loop. Following errors are given for each feed-forward.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LOWEST = 1e-4  # of the velocity loop's crossover: the slowest position loop tri
 
 @dataclass(frozen=True)
 class PositionLoopDesign:
-    """``kp`` [1/s] of a position loop in every ``every``-th sample around ``velocity_loop``, and what it has."""
+    """A position loop with gain ``kp`` [1/s], computed in every ``every``-th sample, around ``velocity_loop``."""
 
     velocity_loop: VelocityLoopDesign
     kp: float
@@ -39,7 +39,7 @@ class PositionLoopDesign:
     requested: dict[str, float]
 
     def axis(self, **feedforward: float) -> Axis:
-        """The axis with this position loop as its controller, with that ``feedforward`` table."""
+        """The axis with this position loop and a ``feedforward`` table as its controller."""
         loop = self.velocity_loop
         estimator = loop.axis.controller.velocity_estimator
         _, table = velocity_table(loop.k_v1, loop.t_v, loop.structure, loop.filters, estimator, in_a_cascade=True)
@@ -75,7 +75,7 @@ class PositionLoopDesign:
 
     @property
     def overshoot_percent(self) -> float:
-        """Overshoot [%] of the answer to a step of the position reference."""
+        """Overshoot [%] of the response to a step of the position reference."""
         return float(max(0.0, 100.0 * (self._after_a_step_of("reference").max() - 1.0)))
 
     def _after_a_step_of(self, name: str) -> np.ndarray:
@@ -96,12 +96,12 @@ class PositionLoopDesign:
 
     @property
     def stiffness(self) -> float:
-        """A step of force over the largest displacement that it makes [N/m]."""
+        """A step of force over the largest displacement that it causes [N/m]."""
         return float(1.0 / np.max(np.abs(self._after_a_step_of("force"))))
 
     @property
     def feedforwards(self) -> dict[str, dict[str, float]]:
-        """Tables of feed-forward by what they feed; the acceleration is that of all that moves, a load too."""
+        """Feed-forward tables by name; the acceleration gain is that of the whole moving mass."""
         loop = self.velocity_loop
         inertia = float(loop.axis.mechanics.mass / loop.axis.drive.gain)
         return {
@@ -111,26 +111,26 @@ class PositionLoopDesign:
         }
 
     def following_errors(self) -> dict[str, dict[str, float]]:
-        """Errors along a velocity [m per m/s], an acceleration and a jerk [likewise], with each feed-forward.
+        """Errors per velocity [m per m/s], acceleration [m per m/s^2] and jerk [m per m/s^3], by feed-forward.
 
-        The share of the velocity is 1; the acceleration is that of the inertia. Dry friction is left to its own.
+        The velocity share is 1; the acceleration gain is that of the inertia. Dry friction is not considered.
         """
         loop = self.velocity_loop
         low = 0.02 * min(self.kp, 1.0 / loop.t_v)
         w = np.array([low, 2.0 * low])
-        found = {}
+        errors = {}
         for name, feedforward in self.feedforwards.items():
             error = (1.0 - _position(axis_loop(self.axis(**feedforward), loop.velocity), w, "reference")) / (1j * w)
             jerk = (error[0].real - error[1].real) / (3.0 * low**2)  # of c1 + c2 jw + c3 (jw)^2
-            found[name] = {
+            errors[name] = {
                 "velocity": float(error[0].real + jerk * low**2),
                 "acceleration": float(error[0].imag / low),
                 "jerk": float(jerk),
             }
-        return found
+        return errors
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: gain, what was asked, what is achieved, margins and following errors."""
+        """Plain data: gain, requested and achieved numbers, margins and following errors."""
         achieved: dict[str, Any] = {name: None for name in ("overshoot_percent", "bandwidth", "stiffness")}
         if self.stable:
             achieved = {name: getattr(self, name) for name in achieved}
@@ -140,7 +140,7 @@ class PositionLoopDesign:
             "requested": dict(self.requested),
             "stable": self.stable,
             **achieved,
-            "loops": [one.to_dict() for one in self.nested],
+            "loops": [loop.to_dict() for loop in self.nested],
             "following_error": self.following_errors() if self.stable else None,
         }
 
@@ -148,17 +148,17 @@ class PositionLoopDesign:
 def design_position_loop(
     velocity_loop: VelocityLoopDesign, wanted: str, value: float, every: int = 1
 ) -> PositionLoopDesign:
-    """Return the position loop around ``velocity_loop`` with what is ``wanted`` of it.
+    """Return the position loop around ``velocity_loop`` that meets one specification, ``wanted`` with its ``value``.
 
-    One of "overshoot" [%], "bandwidth" [rad/s], "stiffness" [N/m] and "kp" [1/s], with its ``value``: of an overshoot
-    the fastest loop that keeps to it, of a kp the loop that has it, stable or not. ``every``: the position loop runs in
-    every n-th sample. :class:`SpecificationError` where no gain has it, with the one that comes nearest.
+    ``wanted`` is "overshoot" [%], "bandwidth" [rad/s], "stiffness" [N/m] or "kp" [1/s]. For an overshoot it is the
+    fastest loop within it, for a kp the loop with that gain, stable or not. The position loop runs in every
+    ``every``-th sample. Raises :class:`SpecificationError` if no gain meets it, with the nearest.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
     >>> inner = design_velocity_loop(machine("emps2018"), crossover=100.0)
-    >>> found = design_position_loop(inner, "bandwidth", 20.0, every=4)
-    >>> round(found.bandwidth, 3), found.stable
+    >>> outer = design_position_loop(inner, "bandwidth", 20.0, every=4)
+    >>> round(outer.bandwidth, 3), outer.stable
     (20.0, True)
     """
     if wanted not in WANTED:
@@ -167,35 +167,37 @@ def design_position_loop(
         raise InputError(f"position loop: found {wanted} {value:g} {WANTED[wanted]}, expected a positive number")
     if not velocity_loop.sampled.stable:
         raise SpecificationError("position loop: the velocity loop inside it is unstable", {})
-    asked = {wanted: float(value)}
+    requested = {wanted: float(value)}
 
     def design(kp: float) -> PositionLoopDesign:
-        return PositionLoopDesign(velocity_loop, kp, every, asked)
+        return PositionLoopDesign(velocity_loop, kp, every, requested)
 
     if wanted == "kp":
         return design(float(value))
 
     def reached(kp: float) -> bool:
-        """Whether a position loop with ``kp`` is as fast as asked, or past what is allowed."""
-        one = design(kp)
-        if not one.stable:
+        """Whether a position loop with ``kp`` reaches the wanted value or is unstable."""
+        trial = design(kp)
+        if not trial.stable:
             return True
         if wanted == "overshoot":
-            return one.overshoot_percent > value + 1e-3
-        return (one.bandwidth if wanted == "bandwidth" else one.stiffness) >= value
+            return trial.overshoot_percent > value + 1e-3
+        return (trial.bandwidth if wanted == "bandwidth" else trial.stiffness) >= value
 
     fastest = 4.0 * velocity_loop.crossover
     grid = np.geomspace(LOWEST * fastest, fastest, 28)
     first = next((place for place, kp in enumerate(grid) if reached(float(kp))), None)
     if first is None or first == 0:
-        raise _not_had(design(float(grid[-1 if first is None else 0])), wanted, value)
+        raise _unreachable(design(float(grid[-1 if first is None else 0])), wanted, value)
     kp = _bisect(reached, float(grid[first - 1]), float(grid[first]))
     if wanted == "overshoot":
         kp *= 1.0 - 1e-9
-    found = design(kp)
-    if not found.stable or (wanted != "overshoot" and not math.isclose(getattr(found, wanted), value, rel_tol=1e-2)):
-        raise _not_had(design(float(grid[first - 1])), wanted, value)
-    return found
+    position_loop = design(kp)
+    if not position_loop.stable or (
+        wanted != "overshoot" and not math.isclose(getattr(position_loop, wanted), value, rel_tol=1e-2)
+    ):
+        raise _unreachable(design(float(grid[first - 1])), wanted, value)
+    return position_loop
 
 
 def _position(loop: SampledLoop, w: np.ndarray, by: str) -> np.ndarray:
@@ -211,7 +213,7 @@ def _bisect(past: Callable[[float], bool], low: float, high: float) -> float:
     return low
 
 
-def _not_had(nearest: PositionLoopDesign, wanted: str, value: float) -> SpecificationError:
+def _unreachable(nearest: PositionLoopDesign, wanted: str, value: float) -> SpecificationError:
     name = "overshoot_percent" if wanted == "overshoot" else wanted
     has = f"has {getattr(nearest, name):.4g} {WANTED[wanted]}" if nearest.stable else "is unstable"
     return SpecificationError(

@@ -1,13 +1,13 @@
-"""Passivity of what the hand meets, and stability in contact with hands and walls.
+"""Passivity of the impedance at the hand, and stability in contact with hands and walls.
 
 Continuous time (current loop ``1/(T_c s + 1)``, both filters first order, velocity and acceleration exact): the
 driving-point admittance is a ratio of polynomials N/D. It is positive real where D is Hurwitz and
 ``Re N(jw) conj(D(jw))``, an even polynomial, is nowhere negative; its sign changes are the real roots of a polynomial
-in w^2, found as eigenvalues, so no frequency is missed between grid points. Its coefficients differ by twenty powers
-of ten in rad/s and are small differences of large products: they are rational numbers until the frequency is scaled.
+in w^2, computed as eigenvalues, so no frequency is missed between grid points. Its coefficients span twenty powers of
+ten in rad/s and are small differences of large products: they are rational numbers until the frequency is scaled.
 
-Sampled: for an external force held over each period, the energy that flows in is exactly force times position step, so
-the sampled loop is passive for such forces where ``Re V(e^{jwT})/tau_e >= 0`` up to the Nyquist frequency: swept.
+Sampled: for an external force held over each period, the supplied energy is exactly force times position step, so the
+sampled loop is passive for such forces if ``Re V(e^{jwT})/tau_e >= 0`` up to the Nyquist frequency: a sweep.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ Bands = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class Passivity:
-    """Where the driving-point admittance takes energy from the hand (``Re Y < 0``): bands of frequency [rad/s].
+    """Frequency bands [rad/s] in which the axis supplies energy to the hand (``Re Y < 0``), continuous and sampled.
 
-    An upper end of inf is written None; ``passive`` needs a stable loop and no band.
+    ``passive`` means a stable loop and no such band; in :meth:`to_dict` an unbounded upper end is None.
     """
 
     continuous_stable: bool
@@ -53,8 +53,8 @@ class Passivity:
     def to_dict(self) -> dict[str, Any]:
         """Verdicts and active bands [rad/s]."""
 
-        def bands(found: Bands) -> list[list[float | None]]:
-            return [[low, high if math.isfinite(high) else None] for low, high in found]
+        def bands(intervals: Bands) -> list[list[float | None]]:
+            return [[low, high if math.isfinite(high) else None] for low, high in intervals]
 
         return {
             "continuous": {"passive": self.continuous, "active_bands": bands(self.continuous_bands)},
@@ -73,19 +73,19 @@ def admittance_polynomials(
 def _exact_polynomials(
     law: ImpedanceLaw, plant: FrictionModel, current_time_constant: float, direction: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same as rational numbers, from those of the law and the plant: what cancels by algebra is nothing here."""
+    """:func:`admittance_polynomials` as rational numbers, so that terms which cancel by algebra are exactly zero."""
     i = 0 if direction > 0 else 1
-    mass_hat, damping, one = Fraction(law.estimate.mass), Fraction(law.damping), Fraction(1)
+    mass_hat, damping, unity = Fraction(law.estimate.mass), Fraction(law.damping), Fraction(1)
     r, f_hat = mass_hat / Fraction(law.mass), Fraction(law.estimate.viscous[i])
-    lag = np.array([one, Fraction(current_time_constant)])
+    lag = np.array([unity, Fraction(current_time_constant)])
     mechanics = np.array([Fraction(plant.viscous[i]), Fraction(plant.mass)])
-    pull, s = r * Fraction(law.stiffness), np.array([Fraction(0), one])
+    pull, s = r * Fraction(law.stiffness), np.array([Fraction(0), unity])
     if law.force_sensor:  # lag tau = (r-1) tau_e + (Fh - r B) v - r K v/s
         command = poly.polysub(s * (f_hat - r * damping), [pull])
         numerator = poly.polymul(s, poly.polyadd(lag, [r - 1]))
         denominator = poly.polysub(poly.polymul(poly.polymul(s, mechanics), lag), command)
     else:
-        low_a, low_t = (np.array([one, 1 / Fraction(w)] if math.isfinite(w) else [one]) for w in law.filters)
+        low_a, low_t = (np.array([unity, 1 / Fraction(w)] if math.isfinite(w) else [unity]) for w in law.filters)
         # lag low_a low_t tau = v [(r-1) Mh s low_t + (r (Fh - B) - r K/s) low_a low_t] - kappa (r-1) low_a tau
         both = poly.polymul(low_a, low_t)
         inertia = poly.polymul(s * ((r - 1) * mass_hat), low_t)
@@ -100,9 +100,9 @@ def _exact_polynomials(
 
 
 def passivity(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, points: int = 4000) -> Passivity:
-    """Say where the law is passive: exact polynomial roots in continuous time, a sweep of ``points`` when sampled.
+    """Return the passivity of the law: exact polynomial roots in continuous time, a sweep of ``points`` if sampled.
 
-    In the direction of motion in which it is less so.
+    The result is that of the less passive direction of motion.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -111,8 +111,10 @@ def passivity(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, points: int
     >>> passivity(law, law.estimate, Clock.of(axis)).sampled
     False
     """
-    found = [_one_way(law, plant, clock, direction, points) for direction in plant.directions]
-    return min(found, key=lambda one: (one.sampled, one.continuous, [low for low, _ in one.sampled_bands]))
+    verdicts = [_one_way(law, plant, clock, direction, points) for direction in plant.directions]
+    return min(
+        verdicts, key=lambda verdict: (verdict.sampled, verdict.continuous, [low for low, _ in verdict.sampled_bands])
+    )
 
 
 def _one_way(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: int, points: int) -> Passivity:
@@ -127,9 +129,9 @@ def _one_way(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: i
 
 
 def _scaled_roots(coefficients: np.ndarray) -> tuple[np.ndarray, float]:
-    """Roots of a polynomial with rational coefficients, over a scale of the variable, and that scale.
+    """Return the roots of a polynomial with rational coefficients, divided by a scale, and that scale.
 
-    The scale is the geometric mean of the roots that are not 0: first and last coefficient become equally large.
+    The scale is the geometric mean of the nonzero roots: first and last coefficient become equally large.
     """
     powers = np.flatnonzero(coefficients)
     if powers.size < 2:

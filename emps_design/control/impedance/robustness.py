@@ -83,23 +83,23 @@ def stacked(corners: Sequence[dict[str, float]]) -> dict[str, np.ndarray]:
 
 
 def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> Any:
-    """Speed [m/s] that free motion in ``direction`` tends to: above zero it creeps, below zero dry friction stops it.
+    """Limit of the speed [m/s] of free motion in ``direction``: positive if it creeps, negative if friction stops it.
 
-    Infinite where the apparent damping is not positive and nothing else stops the motion; never above zero under a
-    stiffness, which ends every drift. A float, or (m,) for a law whose estimate holds arrays.
+    Infinite if the apparent damping is not positive and nothing else stops the motion; never positive with a stiffness,
+    which ends every drift. A float, or (m,) for a law whose estimate holds arrays.
     """
     z = law.apparent(plant, direction)
-    left, damping = np.asarray(z.coulomb_left), np.asarray(z.damping)
+    remaining, damping = np.asarray(z.coulomb_left), np.asarray(z.damping)
     with np.errstate(divide="ignore", invalid="ignore"):
-        undamped = np.where((damping < 0.0) | (left < 0.0), np.inf, np.where(left > 0.0, -np.inf, 0.0))
-        found = np.where(damping > 0.0, -left / damping, undamped)
+        undamped = np.where((damping < 0.0) | (remaining < 0.0), np.inf, np.where(remaining > 0.0, -np.inf, 0.0))
+        speed = np.where(damping > 0.0, -remaining / damping, undamped)
     if law.stiffness > 0.0:
-        found = np.minimum(found, 0.0)
-    return found if found.ndim else float(found)
+        speed = np.minimum(speed, 0.0)
+    return speed if speed.ndim else float(speed)
 
 
 def creep_speed(law: ImpedanceLaw, plant: FrictionModel) -> float:
-    """Speed [m/s] at which the released carriage creeps on for ever, in the worse direction; 0: it does not.
+    """Speed [m/s] at which the released carriage keeps creeping, in the worse direction; 0: it does not.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> over = ImpedanceLaw(50.0, 100.0, plant).with_errors({"mass": 0.02, "viscous": 0.02, "coulomb": 0.02})
@@ -110,20 +110,20 @@ def creep_speed(law: ImpedanceLaw, plant: FrictionModel) -> float:
 
 
 def dead_band(law: ImpedanceLaw, plant: FrictionModel) -> float:
-    """Coulomb friction left [N] in the worse direction; 0: none."""
+    """Remaining Coulomb friction [N] in the worse direction; 0: none."""
     return max(0.0, *(law.apparent(plant, direction).coulomb_left for direction in (1, -1)))
 
 
 def break_away(law: ImpedanceLaw, plant: FrictionModel) -> float:
-    """Force [N] that sets a resting carriage in motion: at rest the law compensates no Coulomb friction.
+    """Force [N] that starts a resting carriage: at rest the law compensates no Coulomb friction.
 
-    With a force sensor the motor helps from the first newton, ``F_c M_a/Mh``; without one it is all of F_c.
+    With a force sensor the motor assists from the start, ``F_c M_a/Mh``; without one it is the whole F_c.
     """
     return max(plant.coulomb) / (law.ratio if law.force_sensor else 1.0)
 
 
 def sinking_force(plant: FrictionModel) -> float:
-    """What a constant force is above dry friction [N], 0 where friction holds it: at rest the law holds nothing.
+    """Constant force in excess of dry friction [N], 0 if friction holds it: at rest the law compensates neither.
 
     >>> sinking_force(FrictionModel(95.0, 200.0, 200.0, 72.0, -48.0))
     48.0
@@ -255,10 +255,11 @@ def smallest_mass(
     mismatch: float,
     calm: Callable[[ImpedanceLaw], bool] | None = None,
 ) -> float | None:
-    """Smallest M_a [kg] from which on the law is stable at every corner, up to M; None if there is none.
+    """Smallest M_a [kg] such that the law is stable at every corner from there up to M; None if there is none.
 
-    Found on 200 masses between M/1000 and M, then bisected to 0.1 %. With ``calm``, which says whether a law does not
-    swing though its poles are stable, the second from there on that does not, of masses no more than 5 % apart.
+    Searched on 200 masses between M/1000 and M, then bisected to 0.1 %. ``calm(law)`` says whether the carriage does
+    not swing though the poles are stable; with it the mass is one step above the smallest calm one, in steps of at most
+    5 %.
     """
     smallest = _smallest_stable(law, plant, clock, mismatch)
     if smallest is None or calm is None:
@@ -270,7 +271,7 @@ def smallest_mass(
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if calm(replace(law, mass=float(masses[middle]))) else (middle, high)
-    # At the edge of those that are calm others beside it are not.
+    # One step of margin: next to the edge of the calm masses some are not.
     return float(masses[min(high + 1, len(masses) - 1)])
 
 
@@ -299,21 +300,21 @@ def nearest_stable(
     accept: Callable[[ImpedanceLaw, np.ndarray, np.ndarray], np.ndarray] | None = None,
     calm: Callable[[ImpedanceLaw], bool] | None = None,
 ) -> dict[str, float] | None:
-    """The law nearest to ``law`` that is stable at every corner of ``mismatch``: damping, then mass and filter.
+    """Return the law nearest to ``law`` that is stable at every corner of ``mismatch``; None if there is none.
 
-    More damping is tried where none is found. Acceleration and current share the filter. Distance is that of the
-    logarithms of M_a and filter; the grid has steps of a few percent. ``accept(law, masses, filters)`` may refuse
-    some of the masses [kg] and filters [rad/s] for reasons of its own, and ``calm(law)`` any that swings though its
-    poles are stable. None where none was found.
+    Mass and filter are varied first, with more damping only if none is stable. Acceleration and current share the
+    filter. The distance is that of the logarithms of M_a and filter; the grid has steps of a few percent.
+    ``accept(law, masses, filters)`` may refuse masses [kg] and filters [rad/s] for other reasons, and ``calm(law)``
+    laws under which the carriage swings though the poles are stable.
     """
     least = 1.05 * mismatch * max(plant.viscous)
     damping = law.damping if law.damping > mismatch * max(plant.viscous) else least
     for factor in MORE_DAMPING if damping > 0.0 else (1.0,):
-        found = _nearest_in_mass_and_filter(
+        nearest = _nearest_in_mass_and_filter(
             replace(law, damping=factor * damping), plant, clock, mismatch, accept, calm
         )
-        if found is not None:
-            return found
+        if nearest is not None:
+            return nearest
     return None
 
 
@@ -339,20 +340,20 @@ def _nearest_in_mass_and_filter(
         return None
     distance = np.where(stable, np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter)), np.inf)
     if calm is not None and not calm(replace(both, mass=float(masses[-1]), filter=wanted_filter)):
-        return None  # something else keeps it moving
+        return None  # the heaviest law swings too: the cause is another one
     while np.isfinite(distance).any():
         place = int(np.argmin(distance))
-        found = replace(both, mass=float(grid_mass.flat[place]), filter=float(grid_filter.flat[place]))
-        # At the edge of those that are calm others beside it are not: a little lighter it has to be so too.
-        if calm is None or (calm(found) and calm(replace(found, mass=found.mass / STEP))):
-            return {"mass": found.mass, "damping": float(law.damping), "filter": found.filter}
-        around = np.hypot(np.log(grid_mass / found.mass), np.log(grid_filter / found.filter))
+        candidate = replace(both, mass=float(grid_mass.flat[place]), filter=float(grid_filter.flat[place]))
+        # Next to the edge of the calm laws some are not: one step lighter it must be calm too.
+        if calm is None or (calm(candidate) and calm(replace(candidate, mass=candidate.mass / STEP))):
+            return {"mass": candidate.mass, "damping": float(law.damping), "filter": candidate.filter}
+        around = np.hypot(np.log(grid_mass / candidate.mass), np.log(grid_filter / candidate.filter))
         distance[around <= ALIKE] = np.inf
     return None
 
 
 def impedance_loops(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> tuple[NestedLoop, ...]:
-    """Return the loop of ``law`` on ``axis`` in every direction, and with estimates off to the corners of ``mismatch``.
+    """Return the loop of ``law`` on ``axis`` in every direction, with exact estimates and at corners of ``mismatch``.
 
     >>> from emps_design.control.impedance.law import impedance_law
     >>> from emps_design.machines import machine
@@ -363,11 +364,13 @@ def impedance_loops(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> tup
     1.77
     """
     plant = FrictionModel.of(axis)
-    corners = corners_of({"mass": mismatch, "viscous": mismatch}) if mismatch else []  # what a slide depends on
-    period, found = axis.sampling.period, []
+    corners = (
+        corners_of({"mass": mismatch, "viscous": mismatch}) if mismatch else []
+    )  # Coulomb friction is constant while sliding
+    period, loops = axis.sampling.period, []
     for direction in plant.directions:
         sampled = sample_axis(axis, direction * SPEED)
         for errors in ({}, *corners):
             form = linear_law(law_for(axis, law.with_errors(errors), period), period, float(direction))
-            found.append(NestedLoop(WHOLE, PLANT_INPUT, at_plant_input(sampled, form), errors))
-    return tuple(found)
+            loops.append(NestedLoop(WHOLE, PLANT_INPUT, at_plant_input(sampled, form), errors))
+    return tuple(loops)

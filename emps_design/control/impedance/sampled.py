@@ -130,14 +130,14 @@ def spectral_radius(n: dict[str, Any], clock: Clock, **options: Any) -> np.ndarr
 
 
 def radius_of(loops: SampledLoop) -> np.ndarray:
-    """The same for ``loops`` closed before."""
+    """Largest modulus of the poles of closed ``loops``, shape (m,)."""
     return np.atleast_1d(np.abs(np.linalg.eigvals(loops.A)).max(axis=-1))
 
 
 def recursion_poles(law: ImpedanceLaw, clock: Clock) -> np.ndarray:
     """Poles of the law's recursion in its own current while the carriage sticks, largest first; 0: no recursion."""
-    found = own_poles(_law(numbers(law, law.estimate), clock, law.velocity_estimator, law.force_sensor), clock.period)
-    return sorted_poles(found) if found.size else np.zeros(1, dtype=complex)
+    poles = own_poles(_law(numbers(law, law.estimate), clock, law.velocity_estimator, law.force_sensor), clock.period)
+    return sorted_poles(poles) if poles.size else np.zeros(1, dtype=complex)
 
 
 def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: Any = TWO_TAP) -> np.ndarray:
@@ -166,10 +166,9 @@ def impedance_response(n: dict[str, Any], clock: Clock, omega: np.ndarray, **opt
 
 
 def impedance_error(loops: SampledLoop, n: dict[str, Any], band: float = 20.0, points: int = 40) -> np.ndarray:
-    """Relative error of the apparent impedance over (0, ``band``] rad/s of the closed ``loops``, rms, shape (m,).
+    """Rms relative error of the apparent impedance of the closed ``loops`` over (0, ``band``] rad/s, shape (m,).
 
-    Against the target ``M_a s + B + K/s`` of the numbers ``n``, at the middles of ``points`` equal spans; a number, 0.1
-    is 10 %.
+    The target is ``M_a s + B + K/s`` of the numbers ``n``, at the middles of ``points`` equal spans; 0.1 means 10 %.
     """
     omega = (np.arange(points) + 0.5) * band / points
     s = 1j * omega
@@ -177,39 +176,39 @@ def impedance_error(loops: SampledLoop, n: dict[str, Any], band: float = 20.0, p
         np.atleast_1d(np.asarray(n[name], dtype=float))[:, None] for name in ("apparent_mass", "damping", "stiffness")
     )
     target = mass * s + damping + stiffness / s
-    found = 1.0 / np.atleast_2d(loops.admittance(omega))
-    return np.sqrt(np.mean(np.abs(found / target - 1.0) ** 2, axis=1))
+    achieved = 1.0 / np.atleast_2d(loops.admittance(omega))
+    return np.sqrt(np.mean(np.abs(achieved / target - 1.0) ** 2, axis=1))
 
 
 def relay_oscillation(
     law: ImpedanceLaw, plant: FrictionModel, clock: Clock, wall: float = 0.0
 ) -> tuple[float, float] | None:
-    """The one of :func:`relay_oscillations` of a single ``law``."""
+    """The oscillation of :func:`relay_oscillations` for a single ``law``."""
     return relay_oscillations(law, plant, clock, wall)[0]
 
 
 def relay_oscillations(
     law: ImpedanceLaw, plant: FrictionModel, clock: Clock, wall: float = 0.0
 ) -> list[tuple[float, float] | None]:
-    """Predict the oscillation the Coulomb compensation can keep up: (frequency [rad/s], velocity amplitude [m/s]).
+    """Predict the oscillation that the Coulomb compensation can sustain: (frequency [rad/s], speed amplitude [m/s]).
 
-    One of each law where the estimate of ``law`` holds arrays (m,), as :meth:`.ImpedanceLaw.with_errors` makes them.
+    One per law if the estimate of ``law`` holds arrays (m,), as :meth:`.ImpedanceLaw.with_errors` returns them.
 
-    The law pushes with ``r c Fh_c sign(v_k)`` at once, but takes back what its current already does only through the
+    The law applies ``r c Fh_c sign(v_k)`` at once, but subtracts the effect of its own current only through the
     filter: after a reversal it over-compensates for a while. Describing function of the two relays, plant and law:
-    a sinusoid of amplitude ``A`` keeps itself up where
+    a sinusoid of amplitude ``A`` sustains itself if
 
         (4/pi) (-F_c Y_e(jw) + r c Fh_c Y_c(jw) e^{j angle(v_k/v)}) = A > 0
 
     with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's, both against a ``wall``
-    [N/m] where one is given. Looked for between 0.5 rad/s and a quarter of the Nyquist frequency (half of it against a
+    [N/m] if it is not 0. Searched between 0.5 rad/s and a quarter of the Nyquist frequency (half of it against a
     wall); the largest is returned, None if there is none. An approximation: simulated speeds are up to twice as large
-    and, since the carriage lingers near rest, frequencies two to six times lower; sticking may end the oscillation
-    before it settles. It explains a limit cycle and does not promise one.
+    and, since the carriage stays near rest for a while, frequencies two to six times lower; sticking may end the
+    oscillation before it settles. It is necessary for a limit cycle of this kind, not sufficient.
     """
     omega = np.geomspace(0.5, (0.5 if wall else 0.25) * np.pi / clock.period, 600)
     back = np.exp(-1j * omega * clock.period)
-    # Of the velocity the law sees, against the mean over the period that follows.
+    # Phase of the velocity that the law estimates, against the mean over the following period.
     turn = estimator_response(law.velocity_estimator, omega, clock.period) * back
     balances = []
     for direction in plant.directions:
@@ -224,15 +223,15 @@ def relay_oscillations(
 
 def _largest_oscillation(balances: np.ndarray, omega: np.ndarray) -> tuple[float, float] | None:
     """Frequency [rad/s] and amplitude [m/s] where one of the ``balances`` (d, w) is real and largest, above zero."""
-    found = []
+    oscillations = []
     for balance in balances:
         real, imag = balance.real, balance.imag
         for k in np.flatnonzero(imag[:-1] * imag[1:] < 0.0):
             share = imag[k] / (imag[k] - imag[k + 1])
             amplitude = real[k] + share * (real[k + 1] - real[k])
             if amplitude > 0.0:
-                found.append((float(amplitude), float(omega[k] + share * (omega[k + 1] - omega[k]))))
-    if not found:
+                oscillations.append((float(amplitude), float(omega[k] + share * (omega[k + 1] - omega[k]))))
+    if not oscillations:
         return None
-    amplitude, frequency = max(found)
+    amplitude, frequency = max(oscillations)
     return frequency, amplitude
