@@ -1,21 +1,18 @@
-"""The one sampled loop: any law around any plant, with hold, delays, current loop, effects, environment and sensor.
+"""The sampled loop: any law around any plant, with hold, delays, current loop, effects, environment and sensor.
 
-A law in its linear form and a plant discretised exactly make one state-space system,
+A law in its linear form and a plant discretised exactly form one state-space system,
 
     s[k+1] = A s[k] + B w[k],    y[k] = C s[k] + D w[k].
 
-Stability is read from its poles first; an unstable loop has no margins. Three things are taken out of the state: where
-the carriage is, if nothing asks for it (its pole at 1 would be there in every free loop); a memory cell of the law that
-nothing drives or nothing hears, such as that of a position loop where there is none; and a cell that repeats a state of
-the plant from rest on, as the model of the current loop in the impedance law does while the drive follows its command.
+Stability is judged by its poles first; an unstable loop has no margins. Three kinds of states are removed: the position
+of the carriage, if nothing depends on it (its pole at 1 would be in every free loop); a memory cell of the law that
+nothing drives or nothing reads, such as that of an unused position loop; and a cell that equals a state of the plant
+when both start at rest, as the current model of the impedance law does while the drive follows its command.
 
-A loop that repeats after some samples, as one of different rates does: lifted to the rate at which it repeats.
-
-Matrices of the samples of a cycle stand along the first axis: ``x[k+1] = A[j] x[k] + B[j] w[k]`` with j = k modulo the
-length of the cycle. From cycle to cycle the state moves by the monodromy ``A[-1] ... A[1] A[0]``, whose eigenvalues are
-the exact poles (Bittanti, Colaneri, Periodic Systems, 2009).
-
-The transfer function of a sampled system in state space, at points of the z plane.
+A loop of different rates is periodic and lifted to the rate at which it repeats. The matrices of the samples of a cycle
+are stacked along the first axis: ``x[k+1] = A[j] x[k] + B[j] w[k]`` with j = k modulo the length of the cycle. From
+cycle to cycle the state is multiplied by the monodromy matrix ``A[-1] ... A[1] A[0]``, whose eigenvalues are the exact
+poles (Bittanti, Colaneri, Periodic Systems, 2009).
 """
 
 from __future__ import annotations
@@ -40,14 +37,14 @@ if TYPE_CHECKING:
     import control
 
 MOST_GAIN = 1e4  # above this a gain margin is unbounded
-_NEAR = 30.0  # samples of delay up to which every tenth of one is tried
+_NEAR = 30.0  # samples; up to this delay every tenth of a sample is tried
 _TURNS, _FACTORS = np.radians(np.arange(1.0, 181.0)), np.geomspace(1.0, MOST_GAIN, 241)[1:]
 
 AT_ONCE = 100_000  # systems solved together
-ROUNDING = 32.0 * np.finfo(float).eps  # share of its size by which a coefficient is not known
+ROUNDING = 32.0 * np.finfo(float).eps  # relative error of a coefficient
 
-MARGINAL = 1e-9  # a pole this close to the unit circle is on it: rounding decides no verdict
-SAME = 1e-9  # share of its own coefficients by which a state and its repetition may differ
+MARGINAL = 1e-9  # a pole this close to the unit circle counts as on it, so that rounding decides no verdict
+SAME = 1e-9  # relative difference of the coefficients of two equal states
 OUTPUTS = ("velocity", "mean_velocity", "force", "voltage")
 _REFERENCE, _FORCE, _MORE = range(3)
 
@@ -59,15 +56,15 @@ def monodromy(A: np.ndarray) -> np.ndarray:
     [[1.5]]
     """
     product = A[0]
-    for one in A[1:]:
-        product = one @ product
+    for matrix in A[1:]:
+        product = matrix @ product
     return product
 
 
 def lifted(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """One step for a whole cycle, with inputs and outputs of all its samples end to end.
+    """Return one step for a whole cycle, with the inputs and outputs of all its samples concatenated.
 
     (c, n, n), (c, n, i), (c, o, n), (c, o, i) -> (n, n), (n, c i), (c o, n), (c o, c i).
     """
@@ -77,22 +74,22 @@ def lifted(
     for j in range(cycle):
         own = slice(j * count, (j + 1) * count)
         outputs.append(C[j] @ state)
-        heard = C[j] @ driven
-        heard[:, own] += D[j]
-        through.append(heard)
+        feedthrough = C[j] @ driven
+        feedthrough[:, own] += D[j]
+        through.append(feedthrough)
         state, driven = A[j] @ state, A[j] @ driven
         driven[:, own] += B[j]
     return state, driven, np.concatenate(outputs), np.concatenate(through)
 
 
 def response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """What comes out at the frequency that goes in (f,), the mean over a cycle; ``angle`` (f,) [rad] by sample.
+    """Return the response at the input frequency, the mean over a cycle; ``angle`` (f,) [rad] per sample.
 
-    (c, n, n), (c, n), (c, n), (c,), (f,) -> (f,). Other frequencies come out too, the aliases of it.
+    (c, n, n), (c, n), (c, n), (c,), (f,) -> (f,). The aliases that the output contains too are left out.
     """
     cycle, size = b.shape
     turn = np.exp(1j * angle)[:, None, None]
-    forth = turn ** np.arange(cycle + 1)[:, None, None, None]  # what goes in, sample by sample
+    forth = turn ** np.arange(cycle + 1)[:, None, None, None]  # the input, sample by sample
     driven = np.zeros((angle.size, size, 1), dtype=complex)
     for j in range(cycle):
         driven = A[j] @ driven + b[j][:, None] * forth[j]
@@ -107,12 +104,12 @@ def response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: 
 def margins(
     opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float, delayed: Callable[[float], float] | None
 ) -> Margins:
-    """Margins at one place of a periodic loop, from the poles of the loop closed with a factor there.
+    """Return the margins at one place of a periodic loop, from the poles of the loop closed with a factor there.
 
     ``opened`` (c, n, n), ``column`` (c, n) and ``row`` (c, n) are the loop broken at that place; ``period`` [s] of a
-    sample. A factor exp(-j phi) that brings a pole to the unit circle is the phase margin, a real one the gain margin;
-    ``delayed(delay)`` is the largest modulus of the poles with a ``delay`` [s] more at that place; without it there is
-    no delay margin.
+    sample. The factor exp(-j phi) that moves a pole to the unit circle gives the phase margin, a real one the gain
+    margin; ``delayed(delay)`` is the largest modulus of the poles with an additional ``delay`` [s] at that place;
+    without it there is no delay margin.
     """
 
     def radii(factors: np.ndarray) -> np.ndarray:
@@ -139,11 +136,11 @@ def margins(
 
 
 def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float) -> float | None:
-    """The least delay [s] of whole cycles, and parts of one, that brings a pole to the unit circle.
+    """Return the least delay [s] that moves a pole to the unit circle, for delays much longer than a cycle.
 
-    A delay of m cycles turns all that comes back in a cycle alike, by m theta at a pole exp(j theta): where the loop
-    closed with exp(-j phi) has that pole, the least delay is phi / theta cycles. Between whole cycles the formula is
-    good far above the length of one, where the loop is slow.
+    A delay of m cycles shifts the phase of the loop by m theta at a pole exp(j theta): if the loop closed with
+    exp(-j phi) has that pole, the least delay is phi / theta cycles. Between whole cycles the formula is a good
+    approximation for slow loops.
     """
     from scipy.optimize import brentq
 
@@ -160,24 +157,24 @@ def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period:
     for i in np.flatnonzero(np.diff(counts)):
         between = 0.5 * (counts[i] + counts[i + 1])
         turn = brentq(lambda turn, between=between: out(turn) - between, around[i], around[i + 1])
-        found = poles(turn)
-        angle = float(np.angle(found[np.argmin(np.abs(np.abs(found) - 1.0))]))
+        z = poles(turn)
+        angle = float(np.angle(z[np.argmin(np.abs(np.abs(z) - 1.0))]))
         if angle > 0.0:
             delays.append(turn / angle * len(opened) * period)
     return min(delays, default=None)
 
 
 def monodromy_radii(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Largest moduli (m,) of the poles of the loop closed with each of ``factors`` (m,) where it is broken."""
+    """Largest moduli (m,) of the poles of the loop closed with each of ``factors`` (m,) at the break."""
     added = column[..., :, None] * row[..., None, :]
     closed = opened[:, None] + factors[:, None, None] * added[:, None]
     return np.abs(np.linalg.eigvals(monodromy(closed))).max(axis=-1)
 
 
 def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, tried: np.ndarray, at_once: int = 20) -> float | None:
-    """The first number above ``low`` at which a pole leaves the unit circle, None up to the last one ``tried``.
+    """Return the first number above ``low`` at which a pole leaves the unit circle, None if none up to the last does.
 
-    ``radii`` has the largest modulus of the poles at each of several numbers; it is asked for so many ``at_once``.
+    ``radii(numbers)`` is the largest modulus of the poles at each; it gets ``at_once`` numbers of ``tried`` at a time.
     """
     from scipy.optimize import brentq
 
@@ -200,7 +197,7 @@ def transfer(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: Any, z: np.ndarray)
     >>> bool(np.allclose(delay, [-1j, -1.0]))
     True
     """
-    if A.ndim == 2 and b.ndim == c.ndim == 1 and np.size(z) == 1:  # a search goes from point to point
+    if A.ndim == 2 and b.ndim == c.ndim == 1 and np.size(z) == 1:  # the fast case of a search, point by point
         state = np.linalg.solve(np.reshape(z, ()) * np.eye(b.size) - A, b)
         return np.reshape(np.sum(c * state) + d, np.shape(z))
     return transfers(A, b, c[None], np.asarray(d)[None], z)[0]
@@ -212,13 +209,13 @@ def transfers(A: np.ndarray, b: np.ndarray, C: np.ndarray, D: np.ndarray, z: np.
         alike = _alike(A, b)
         if alike is not None:
             return _of_alike(A[0], b[0], *alike, C, D, z)
-        if len(A) * z.size > AT_ONCE:  # in pieces that fit into memory
+        if len(A) * z.size > AT_ONCE:  # split to limit memory
             half = len(A) // 2
             pieces = [transfers(A[i], b[i], C[:, i], D[:, i], z) for i in (slice(half), slice(half, None))]
             return np.concatenate(pieces, axis=1)
     states = _solved(A, b[..., None], z)[..., 0]
-    found = np.stack([np.sum(c[..., None, :] * states, axis=-1) + d[..., None] for c, d in zip(C, D, strict=True)])
-    return found.reshape(*found.shape[:-1], *z.shape)
+    responses = np.stack([np.sum(c[..., None, :] * states, axis=-1) + d[..., None] for c, d in zip(C, D, strict=True)])
+    return responses.reshape(*responses.shape[:-1], *z.shape)
 
 
 def _solved(A: np.ndarray, columns: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -229,28 +226,28 @@ def _solved(A: np.ndarray, columns: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _alike(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """A column (n,) and shares (m, n + 1): each ``[A b]`` is the first one plus the column times its shares; else None.
+    """Return a column (n,) and shares (m, n + 1) with each ``[A b]`` the first plus column times shares; else None.
 
-    So it is in loops around one plant whose laws, of one output each, differ in what that hears.
+    This holds for loops around one plant with laws of one output that differ in the gains of that output.
     """
     tables = np.concatenate([A, b[..., None]], axis=-1)
     apart = tables - tables[0]
-    one, row, place = np.unravel_index(np.argmax(np.abs(apart)), apart.shape)
-    column = apart[one, :, place]
+    system, row, place = np.unravel_index(np.argmax(np.abs(apart)), apart.shape)
+    column = apart[system, :, place]
     if column[row] == 0.0:
         return column, apart[:, row]
     shares = apart[:, row] / column[row]
-    left = np.abs(apart - column[:, None] * shares[:, None, :])
-    return (column, shares) if np.all(left <= ROUNDING * (np.abs(tables) + np.abs(tables[0]))) else None
+    residual = np.abs(apart - column[:, None] * shares[:, None, :])
+    return (column, shares) if np.all(residual <= ROUNDING * (np.abs(tables) + np.abs(tables[0]))) else None
 
 
 def _of_alike(A: Any, b: Any, column: Any, shares: Any, C: Any, D: Any, z: np.ndarray) -> np.ndarray:
-    """The transfer functions of systems that are :func:`_alike`, by Sherman and Morrison's formula."""
+    """Transfer functions of systems that are :func:`_alike`, by the Sherman-Morrison formula."""
     first, moved = np.moveaxis(_solved(A, np.column_stack([b, column]), z), -1, 0)
-    heard = shares[:, :-1]
-    back = (shares[:, -1:] + heard @ first.T) / (1.0 - heard @ moved.T)
-    found = np.stack([c @ first.T + (c @ moved.T) * back + d[..., None] for c, d in zip(C, D, strict=True)])
-    return found.reshape(*found.shape[:-1], *z.shape)
+    rows = shares[:, :-1]
+    back = (shares[:, -1:] + rows @ first.T) / (1.0 - rows @ moved.T)
+    responses = np.stack([c @ first.T + (c @ moved.T) * back + d[..., None] for c, d in zip(C, D, strict=True)])
+    return responses.reshape(*responses.shape[:-1], *z.shape)
 
 
 @dataclass(frozen=True)
@@ -258,13 +255,12 @@ class SampledLoop:
     """A closed loop at its samples; arrays may have leading axes, for many loops at once.
 
     ``A`` (..., n, n), ``B`` (..., n, i), ``C`` (..., 4, n), ``D`` (..., 4, i). ``inputs``: ``reference`` [m or m/s],
-    ``force`` [N] from outside, held over each period so that the energy it brings in is exactly force times position
-    step, and what was asked for: signals of the law, ``voltage`` [V] added at the plant input. Outputs: the true
-    velocity at the sample and its mean over the period that follows [m/s], the force that the law reads [N], the
-    voltage of the law [V].
+    external ``force`` [N], held over each period so that the supplied energy is exactly force times position step, and
+    optionally signals of the law and ``voltage`` [V] added at the plant input. Outputs: the true velocity at the sample
+    and its mean over the following period [m/s], the force that the law reads [N], the voltage of the law [V].
 
-    Where the law has loops of different rates all of this repeats after ``cycle`` samples: the matrices of each of them
-    stand along the first axis, and poles are those of a whole cycle.
+    With loops of different rates the loop repeats after ``cycle`` samples: the matrices of the samples are stacked
+    along the first axis, and the poles are those of a whole cycle.
     """
 
     A: np.ndarray
@@ -282,15 +278,15 @@ class SampledLoop:
 
     @property
     def radius(self) -> Any:
-        """Largest modulus of the poles, by sample: a float, (...) for many loops."""
-        found = np.abs(self.poles[..., 0]) ** (1.0 / self.cycle)
-        return found if found.ndim else float(found)
+        """Largest modulus of the poles, per sample: a float, (...) for many loops."""
+        modulus = np.abs(self.poles[..., 0]) ** (1.0 / self.cycle)
+        return modulus if modulus.ndim else float(modulus)
 
     @property
     def stable(self) -> Any:
-        """Whether no pole lies outside the unit circle, :data:`MARGINAL` left aside: a bool, (...) for many loops.
+        """Whether no pole lies outside the unit circle, within :data:`MARGINAL`: a bool, (...) for many loops.
 
-        A force that depends on position puts a pole on z = 1 that the velocity does not show, and so does an apparent
+        A force that depends on position has a pole at z = 1 that the velocity does not show, and so has an apparent
         damping of zero.
         """
         return self.radius <= 1.0 + MARGINAL
@@ -298,15 +294,15 @@ class SampledLoop:
     def response(self, w: np.ndarray, output: str = "mean_velocity", by: str = "force") -> np.ndarray:
         """Frequency response from the input ``by`` to ``output`` at ``w`` (f,) [rad/s], shape (..., f)."""
         place, row, angle = self.inputs.index(by), OUTPUTS.index(output), np.asarray(w) * self.period
-        one = self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place]
-        return transfer(*one, np.exp(1j * angle)) if self.cycle == 1 else response(*one, angle)
+        matrices = self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place]
+        return transfer(*matrices, np.exp(1j * angle)) if self.cycle == 1 else response(*matrices, angle)
 
     def admittance(self, w: np.ndarray) -> np.ndarray:
         """Mean velocity over held force at ``w`` (f,) [rad/s], shape (..., f) [m/s/N]."""
         return self.response(w)
 
     def loop_gain(self, w: np.ndarray) -> np.ndarray:
-        """Open loop broken at the plant input, which has to be among the inputs, at ``w`` [rad/s], (..., *w.shape)."""
+        """Open loop broken at the plant input, which must be among the inputs, at ``w`` [rad/s], (..., *w.shape)."""
         opened, column, row = self.opened
         if self.cycle > 1:
             raise InputError(
@@ -337,21 +333,21 @@ class SampledLoop:
         if self.cycle > 1:
             samples = list(zip(self.A, self.B, self.C, self.D, strict=True))
         size, count = self.A.shape[-1], len(samples)
-        states, found = np.zeros((len(w) + 1, size)), np.empty((len(w), len(OUTPUTS)))
+        states, outputs = np.zeros((len(w) + 1, size)), np.empty((len(w), len(OUTPUTS)))
         for j, (_, B, _, _) in enumerate(samples):
             states[1:][j::count] = (B @ w[j::count, :, None])[..., 0]
-        # Only the state has to be gone through sample by sample.
+        # Only the state needs a loop over the samples.
         for k in range(len(w)):
             states[k + 1] += samples[k % count][0] @ states[k]
         for j, (_, _, C, D) in enumerate(samples):
-            found[j::count] = (C @ states[:-1][j::count, :, None] + D @ w[j::count, :, None])[..., 0]
-        return found
+            outputs[j::count] = (C @ states[:-1][j::count, :, None] + D @ w[j::count, :, None])[..., 0]
+        return outputs
 
     def to_ss(self) -> control.StateSpace:
         """The loop as a discrete ``control.StateSpace`` with named inputs and outputs.
 
-        Loops of different rates are lifted: one step is a whole ``cycle``, and each input and output is there once for
-        every sample of it, ``reference[0]`` and so on.
+        Loops of different rates are lifted: one step is a whole ``cycle``, with one input and output per sample of it,
+        ``reference[0]`` and so on.
         """
         import control
 
@@ -378,11 +374,11 @@ def close(
     plant_input: bool = False,
     keep_position: bool = False,
 ) -> SampledLoop:
-    """Close the loop of ``law`` around ``plant``; ``felt`` is what its force sensor reads, so many samples late.
+    """Close the loop of ``law`` around ``plant``; its force sensor reads ``felt`` with a delay of ``sensor_delay``.
 
-    Without ``felt`` the sensor reads the force from outside. ``plant_input`` adds the input ``voltage``, of which a
-    model of the current in the law hears nothing. ``keep_position``: where the carriage is stays among the states, of
-    which those of the plant come first. Leading axes of ``plant`` and ``law`` broadcast.
+    Without ``felt`` the sensor reads the external force; ``sensor_delay`` is in samples. ``plant_input`` adds the input
+    ``voltage``, which a current model in the law does not see. ``keep_position`` keeps the position among the states,
+    of which those of the plant come first. Leading axes of ``plant`` and ``law`` broadcast.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.laws import law_of
@@ -396,8 +392,8 @@ def close(
     n, cells = plant.Phi.shape[-1], law.A.shape[-1]
     felt = Felt(np.zeros(n)) if felt is None else felt
     shape = np.broadcast_shapes(plant.Phi.shape[:-2], law.A.shape[:-2], np.shape(felt.state)[:-1])
-    split, heard = bool(np.any(plant.G1)), bool(np.any(felt.voltage))
-    history = plant.delay + (1 if split or heard else 0)
+    split, reads_voltage = bool(np.any(plant.G1)), bool(np.any(felt.voltage))
+    history = plant.delay + (1 if split or reads_voltage else 0)
     # s = [x, memory of the law, u[k-1] ... u[k-history], f[k-1] ... f[k-sensor_delay]], then the inputs
     memory, past, late = n, n + cells, n + cells + history
     size = late + sensor_delay
@@ -412,12 +408,12 @@ def close(
     encoder, reading = line(0, 0.0), line(size + _FORCE, felt.force)
     encoder[..., :n], reading[..., :n] = plant.C, felt.state
     past_u, past_f = [line(past + i) for i in range(history)], [line(late + i) for i in range(sensor_delay)]
-    if heard:  # the voltage that acted until now
+    if reads_voltage:  # the voltage that acted up to this sample
         reading[..., past + plant.delay] += felt.voltage
     read = past_f[-1] if sensor_delay else reading
 
     def computed(own: np.ndarray, by: np.ndarray) -> np.ndarray:
-        """Rows (..., size + inputs) of what the law computes from its memory and from its inputs."""
+        """Rows (..., size + inputs) of a quantity that the law computes from its memory and its inputs."""
         rows = by[..., 1, None] * encoder + by[..., 2, None] * read
         rows[..., memory:past] += own
         rows[..., size + _REFERENCE] += by[..., 0]
@@ -450,7 +446,7 @@ def close(
         and not np.any(felt.state[..., POSITION])
         and law.keeps_to_changes
     )
-    if free:  # the memory counted from where the carriage is
+    if free:  # positions in the memory become relative to the carriage
         moved = law.moved * plant.C[..., POSITION, None]
         for table in (rows, out):
             table[..., POSITION] += np.sum(table[..., memory:past] * moved[..., None, :], axis=-1)
@@ -464,9 +460,9 @@ def close(
 
 
 def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:
-    """Close the loop of the controller that ``axis`` has, a user's own too; effects linearised at ``velocity`` [m/s].
+    """Close the loop of the controller of ``axis``, a user's own too; effects are linearised at ``velocity`` [m/s].
 
-    Raises :class:`~emps_design.errors.AxisError` where it has none. The plant input is among the loop's inputs.
+    Raises :class:`~emps_design.errors.AxisError` if it has none. The plant input is among the loop's inputs.
 
     >>> from emps_design.machines import machine
     >>> loop = axis_loop(machine("emps2019"))
@@ -482,9 +478,9 @@ def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:
 
 
 def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cells: range) -> list[int]:
-    """``keep`` without those ``cells`` that repeat another state from rest on; their columns are added to its own."""
-    while (found := _repetition(rows, keep, cells)) is not None:
-        cell, other = found
+    """Return ``keep`` without ``cells`` that equal another state from rest on; their columns are added to its own."""
+    while (pair := _repetition(rows, keep, cells)) is not None:
+        cell, other = pair
         for table in (rows, out):
             table[..., other] += table[..., cell]
         keep = [i for i in keep if i != cell]
@@ -492,24 +488,24 @@ def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cel
 
 
 def _repetition(rows: np.ndarray, keep: list[int], cells: range) -> tuple[int, int] | None:
-    """The first of the ``cells`` that goes on as another state does wherever the two are equal, and that state."""
-    mine, others = [one for one in keep if one in cells], [one for one in keep if one not in cells]
-    if not mine or not others:
+    """Return the first of the ``cells`` that stays equal to another state once it is equal, and that state, or None."""
+    candidates, others = [index for index in keep if index in cells], [index for index in keep if index not in cells]
+    if not candidates or not others:
         return None
     columns = np.array([*keep, *range(rows.shape[-2], rows.shape[-1])])
-    own, rest = rows[..., mine, :], rows[..., others, :]
+    own, rest = rows[..., candidates, :], rows[..., others, :]
     gap = rest[..., None, :, :] - own[..., :, None, :]
-    cell, other = np.ix_(range(len(mine)), range(len(others)))
-    to_own, to_other = gap[..., cell, other, np.array(mine)[:, None]], gap[..., cell, other, np.array(others)]
-    aside = (columns == np.array(mine)[:, None, None]) | (columns == np.array(others)[None, :, None])
+    cell, other = np.ix_(range(len(candidates)), range(len(others)))
+    to_own, to_other = gap[..., cell, other, np.array(candidates)[:, None]], gap[..., cell, other, np.array(others)]
+    aside = (columns == np.array(candidates)[:, None, None]) | (columns == np.array(others)[None, :, None])
     scale = SAME * np.abs(own).max(axis=-1)[..., None]
     alike = np.all((np.abs(gap[..., columns]) <= scale[..., None]) | aside, axis=-1)
     alike &= np.abs(to_own + to_other) <= scale
-    pairs = np.argwhere(np.all(alike.reshape(-1, len(mine), len(others)), axis=0))
-    return (mine[pairs[0, 0]], others[pairs[0, 1]]) if len(pairs) else None
+    pairs = np.argwhere(np.all(alike.reshape(-1, len(candidates), len(others)), axis=0))
+    return (candidates[pairs[0, 0]], others[pairs[0, 1]]) if len(pairs) else None
 
 
 def sorted_poles(poles: np.ndarray) -> np.ndarray:
-    """Poles (..., n) by falling modulus, then by imaginary part, so that the same loop prints the same list."""
+    """Return poles (..., n) sorted by falling modulus, then by imaginary part, for a reproducible order."""
     poles = np.asarray(poles, dtype=complex)
     return np.take_along_axis(poles, np.lexsort((-poles.imag, -np.round(np.abs(poles), 12)), axis=-1), axis=-1)

@@ -1,6 +1,6 @@
-"""The verdict on a design: stable or not in the worst loop that will run, on every machine that was asked about.
+"""The verdict on a design: stable or not in its worst loop, over all machines that the controller has to run on.
 
-The machines that a controller has to run on: the axis as it is, both ways, over a range of loads, under mismatch.
+These machines are the nominal axis in both directions, the loads of a range, and the corners of a mismatch.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
 NOMINAL = {"inertia": 1.0, "compliance": 1.0, "delay": 0.0}
 
-SLOWER = 0.9  # step by which slower loops are tried
-KEPT = 0.8  # share of the velocity loop's own safety that a position loop leaves where that is not safe
-SLOWEST = 1e-3  # of what there is, the slowest that is tried
+SLOWER = 0.9  # factor from one slower loop to the next in a search
+KEPT = 0.8  # share of the velocity loop's safety that a position loop must leave if that is not safe by itself
+SLOWEST = 1e-3  # slowest loop of a search, relative to the first
 
 
 @dataclass(frozen=True)
 class Case:
-    """An ``axis`` with its controller, linearised at ``velocity`` [m/s], its command ``delay`` [s] later.
+    """An ``axis`` with its controller, linearised at ``velocity`` [m/s], with an additional ``delay`` [s].
 
-    ``where`` says what it has different from the axis as it is, as :func:`~.loop.worst.where_in_words` reads it.
+    ``where`` holds its differences from the nominal axis, see :func:`~.nested_loops.where_in_words`.
     """
 
     axis: Axis
@@ -57,16 +57,16 @@ class Case:
 
     @cached_property
     def judged(self) -> tuple[NestedLoop, ...]:
-        """The same, quickly, with the margins that a loop is judged by: those of a delay may be missing."""
+        """:attr:`loops` without the delay margins that take long; enough for a verdict."""
         return self._loops(delay_margins=False)
 
     def _loops(self, delay_margins: bool) -> tuple[NestedLoop, ...]:
-        found = nested_loops(self.axis, self.velocity, self.delay, delay_margins)
-        return tuple(replace(loop, where=self.where) for loop in found)
+        loops = nested_loops(self.axis, self.velocity, self.delay, delay_margins)
+        return tuple(replace(loop, where=self.where) for loop in loops)
 
 
 def where_of(point: Mapping[str, float]) -> dict[str, float]:
-    """What a ``point`` of a range of loads has different from the axis as it is.
+    """Return the differences of a ``point`` of a load range from the nominal axis.
 
     >>> where_of({"inertia": 3.0, "compliance": 1.0, "delay": 0.0})
     {'inertia': 3.0}
@@ -80,28 +80,28 @@ def cases_of(
     span: LoadRange | None = None,
     errors: Mapping[str, float] | None = None,
 ) -> tuple[Case, ...]:
-    """Return the machines that the controller of ``axis`` runs on, the axis as it is first.
+    """Return the machines that the controller of ``axis`` runs on, the nominal axis first.
 
-    An axis with effects is there at -``velocity`` [m/s] too. ``span``: the loads of a range, its ends and several
-    between; ``errors``: the corners of these relative errors of the parameters.
+    An axis with effects is included at -``velocity`` [m/s] too. ``span`` adds the loads of a range, its ends and
+    several in between; ``errors`` the corners of these relative errors of the parameters.
 
     >>> from emps_design.machines import machine
     >>> [dict(case.where) for case in cases_of(machine("emps2019"), errors={"mass": 0.1})]
     [{}, {'mass': -0.1}, {'mass': 0.1}]
     """
-    found = [Case(axis, velocity)]
+    cases = [Case(axis, velocity)]
     if axis.effects:
-        found.append(Case(axis, -velocity, where={"velocity": -velocity}))
+        cases.append(Case(axis, -velocity, where={"velocity": -velocity}))
     for point in span.points(span.enough) if span is not None else ():
         where = where_of(point)
         if where:
-            found.append(Case(loaded(axis, point["inertia"], point["compliance"]), velocity, point["delay"], where))
+            cases.append(Case(loaded(axis, point["inertia"], point["compliance"]), velocity, point["delay"], where))
     off = corners(errors) if errors else []
-    return (*found, *(Case(with_errors(axis, shares), velocity, where=shares) for shares in off))
+    return (*cases, *(Case(with_errors(axis, shares), velocity, where=shares) for shares in off))
 
 
 def loops_over(cases: Iterable[Case]) -> tuple[NestedLoop, ...]:
-    """Return the loops of every case, those of the first case first; :func:`~.loop.worst.worst_loop` picks one.
+    """Return the loops of every case, those of the first case first; see :func:`~.nested_loops.worst_loop`.
 
     >>> from emps_design.control.nested_loops import worst_loop
     >>> from emps_design.machines import machine
@@ -116,10 +116,10 @@ def loops_over(cases: Iterable[Case]) -> tuple[NestedLoop, ...]:
 
 @dataclass(frozen=True)
 class DesignVerdict:
-    """The loops of a velocity ``design`` as it will run, and which of them is worst.
+    """The loops of a velocity ``design`` as it will run, and the worst of them.
 
     ``around`` is the position loop designed around it; without one a cascade keeps its own. ``span`` is a range of
-    loads, ``errors`` relative errors of the parameters, ``measured`` loops around plants that were measured.
+    loads, ``errors`` relative errors of the parameters, ``measured`` loops around measured plants.
     """
 
     design: VelocityLoopDesign
@@ -135,22 +135,22 @@ class DesignVerdict:
 
     @cached_property
     def cases(self) -> tuple[Case, ...]:
-        """The machines that it will run on."""
+        """The machines on which the controller will run."""
         return cases_of(self.axis, self.design.velocity, self.span, self.errors)
 
     @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
-        """Every loop on every machine, those of the axis as it is first; delay margins may be missing."""
+        """Every loop on every machine, those of the nominal axis first; delay margins may be missing."""
         return (*(loop for case in self.cases for loop in case.judged), *self.measured)
 
     @cached_property
     def worst(self) -> NestedLoop:
-        """The loop that the design stands or falls with."""
+        """The loop with the smallest margins."""
         return self._in_full(worst_loop(self.loops))
 
     def _in_full(self, loop: NestedLoop) -> NestedLoop:
         """One of :attr:`loops` with all of its margins."""
-        case = next((case for case in self.cases if any(one is loop for one in case.judged)), None)
+        case = next((case for case in self.cases if any(judged is loop for judged in case.judged)), None)
         return loop if case is None else case.loops[case.judged.index(loop)]
 
     @property
@@ -160,14 +160,14 @@ class DesignVerdict:
 
     @property
     def _keeps_position_loop(self) -> bool:
-        """Whether the axis file's position loop is around the design, and not one made for it."""
+        """Whether the position loop is the axis file's and not one designed for this velocity loop."""
         return self.around is None and self.axis.controller.position is not None
 
     @cached_property
     def nearest(self) -> dict[str, Any]:
-        """The nearest that is stable on every machine, what was asked for and ``position_kp`` [1/s]; {} for none.
+        """The nearest specification that is stable on every machine, with ``position_kp`` [1/s]; {} if there is none.
 
-        Of a design that is stable it is empty too.
+        It is empty too if the design is stable.
         """
         if self.stable or "response" in self.worst.where:
             return {}
@@ -180,10 +180,10 @@ class DesignVerdict:
 
     @cached_property
     def position_kp(self) -> float | None:
-        """The gain [1/s] of a slower position loop with which all loops are safe on every machine, three digits of it.
+        """The gain [1/s] of a slower position loop with which all loops are safe on every machine, to three digits.
 
-        Where the velocity loop is not safe by itself, one that costs next to none of its margins. None where there is
-        no position loop, or no gain that is stable.
+        If the velocity loop is not safe by itself, one that hardly reduces its margins. None if there is no position
+        loop, or no stable gain.
         """
         if self.axis.controller.position is None:
             return None
@@ -192,34 +192,34 @@ class DesignVerdict:
 
     @property
     def _share_of_the_velocity_loop(self) -> float:
-        """What a slow position loop leaves of the velocity loop's own safety, on the machine where that has least."""
+        """The share :data:`KEPT` of the velocity loop's least safety over all machines."""
         return KEPT * min(safety(loop.margins) for loop in self.loops if loop.name == VELOCITY_LOOP)
 
     def _slower(self) -> dict[str, Any]:
-        """What was asked for with a lower frequency, at which the velocity loop is safe on every machine, or stable."""
+        """The request at a lower frequency, with a velocity loop that is safe on every machine, or at least stable."""
         design, stable = self.design, dict[str, Any]()
         if not design.requested:
             return {}
-        name, asked = next(iter(design.requested.items()))
-        frequency = asked
-        while frequency > SLOWEST * asked:
+        name, requested = next(iter(design.requested.items()))
+        frequency = requested
+        while frequency > SLOWEST * requested:
             frequency = float(f"{SLOWER * frequency:.3g}")
             try:
                 slower = redesigned(design, frequency)
             except SpecificationError:
                 continue
-            found = {**design.requested, name: frequency}
-            one = DesignVerdict(slower, None, self.span, self.errors)
-            least = min(safety(loop.margins) for loop in one.loops if loop.name == VELOCITY_LOOP)
+            specification = {**design.requested, name: frequency}
+            verdict = DesignVerdict(slower, None, self.span, self.errors)
+            least = min(safety(loop.margins) for loop in verdict.loops if loop.name == VELOCITY_LOOP)
             if least >= 1.0:
-                kp = one.position_kp
-                return found if kp is None else {**found, "position_kp": kp}
-            stable = stable or (found if least > -math.inf else {})
+                kp = verdict.position_kp
+                return specification if kp is None else {**specification, "position_kp": kp}
+            stable = stable or (specification if least > -math.inf else {})
         return stable
 
     @property
     def reason(self) -> str:
-        """Why the design goes into no drive, in one line; empty where all of it is stable."""
+        """The reason why the design is refused, in one line; empty if every loop is stable."""
         if self.stable:
             return ""
         if self.design.reason:
@@ -238,19 +238,19 @@ class DesignVerdict:
 
     @property
     def _nearest_in_words(self) -> str:
-        found = dict(self.nearest)
-        kp = found.pop("position_kp", None)
+        nearest = dict(self.nearest)
+        kp = nearest.pop("position_kp", None)
         words = []
-        if found:
-            name = next(iter(found))
-            words.append(f"{found['phase_margin_deg']:.7g} deg at a {name} of {found[name]:.5g} rad/s")
+        if nearest:
+            name = next(iter(nearest))
+            words.append(f"{nearest['phase_margin_deg']:.7g} deg at a {name} of {nearest[name]:.5g} rad/s")
         if kp is not None:
             words.append(f"`position_kp={kp:g}`")
         return f"nearest that holds: {' with '.join(words)}" if words else "no slower one holds"
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The worst loop where it is stable and not safe, and the position gain with which all of them are."""
+        """The worst loop if it is stable but not safe, and the position gain with which all loops are safe."""
         worst = self.worst
         if not self.stable or safety(worst.margins) >= 1.0:
             return ()
@@ -265,7 +265,7 @@ class DesignVerdict:
         return (words + slower,)
 
     def at(self, where: Mapping[str, Any]) -> list[NestedLoop]:
-        """The loops on the machine that has ``where`` different from the axis."""
+        """The loops on the machine that differs from the axis by ``where``."""
         return [loop for case in self.cases if case.where == where for loop in case.loops]
 
     @property
@@ -285,15 +285,15 @@ class DesignVerdict:
         return sum(loop.margins.stable for loop in self._corners) / len(self._corners)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: ``stable``, ``worst_loop``, and where it is unstable the ``reason`` and the ``nearest``."""
+        """Plain data: ``stable``, ``worst_loop``, and if unstable the ``reason`` and the ``nearest``."""
         document = {"stable": self.stable, "worst_loop": self.worst.to_dict()}
         return document if self.stable else {**document, "reason": self.reason, "nearest": self.nearest}
 
 
 def redesigned(design: VelocityLoopDesign, frequency: float) -> VelocityLoopDesign:
-    """Return the design for another ``frequency`` [rad/s], with the rest of what was asked of ``design`` and its way.
+    """Return ``design`` for another ``frequency`` [rad/s], with the same method and the rest of its specification.
 
-    Raises :class:`SpecificationError` where there are no gains for it.
+    Raises :class:`SpecificationError` if there are no gains for it.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -304,17 +304,17 @@ def redesigned(design: VelocityLoopDesign, frequency: float) -> VelocityLoopDesi
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.velocity.retune import retune_velocity_loop
 
-    asked: dict[str, Any] = {**design.requested, next(iter(design.requested)): frequency}
-    asked |= {"velocity": design.velocity, "structure": design.structure, "filters": design.filters}
+    request: dict[str, Any] = {**design.requested, next(iter(design.requested)): frequency}
+    request |= {"velocity": design.velocity, "structure": design.structure, "filters": design.filters}
     if design.retuned_at:
-        return retune_velocity_loop(design.axis, at=design.retuned_at, **asked)
-    return design_velocity_loop(design.axis, **asked)
+        return retune_velocity_loop(design.axis, at=design.retuned_at, **request)
+    return design_velocity_loop(design.axis, **request)
 
 
 def _position_gain(cases: Sequence[Case], least: float) -> float | None:
-    """The largest gain [1/s] of the position loop, of those in steps, with at least that safety in all ``cases``.
+    """Return the largest gain [1/s] of the position loop, in steps, with a safety of ``least`` in all ``cases``.
 
-    Three digits of it. One machine after the other is made to hold: those that bind are few.
+    It has three digits. The gain is lowered for one machine after the other, since only a few bind.
     """
 
     def with_gain(case: Case, kp: float) -> Case:
@@ -327,7 +327,7 @@ def _position_gain(cases: Sequence[Case], least: float) -> float | None:
     kp = float(cases[0].axis.controller.parameters["position"]["kp"])
     slowest = SLOWEST * kp
     hardest_first = sorted(cases, key=lambda case: safety(worst_loop(case.judged).margins))
-    for _ in range(2):  # once more for what a machine looked at before asks of the slower loop
+    for _ in range(2):  # twice: a lower gain may violate the limit of an earlier machine
         for case in hardest_first:
             while kp > slowest and not holds(case, kp):
                 kp = float(f"{SLOWER * kp:.3g}")

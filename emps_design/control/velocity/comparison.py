@@ -1,6 +1,6 @@
-"""What each structure makes of the same gains: IP, PI, and PI with a reference filter, side by side.
+"""Compare structures with the same gains, IP, PI, and PI with a reference filter, and measure step responses.
 
-What an engineer reads off a step response: overshoot, rise and settling. Only for stable loops.
+Overshoot, rise and settling time are measured for stable loops only.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ SETTLED = 0.02  # band around the final value, as a share of it
 class StepResponse:
     """A unit step response ``y`` (n,) over ``t`` (n,) [s] with its overshoot [%], 10-90 % rise and 2 % settling [s].
 
-    ``peak`` is the largest value and ``peak_time`` [s] its instant; ``settling_time`` is None where the window ends
-    before the response stays inside the band.
+    ``peak`` is the largest value and ``peak_time`` [s] its instant; ``settling_time`` is None if the window ends before
+    the response stays inside the band.
     """
 
     t: np.ndarray
@@ -104,7 +104,7 @@ def continuous_step(design: VelocityLoopDesign, points: int = 2001) -> StepRespo
 
 
 def sampled_step(design: VelocityLoopDesign) -> StepResponse:
-    """Step response of the loop as implemented, true carriage velocity at the sampling instants."""
+    """Step response of the sampled loop: true carriage velocity at the sampling instants."""
     period = design.axis.sampling.period
     samples = max(20, round(step_horizon(design) / period))
     t, v, _ = design.sampled.step_response(samples)
@@ -112,7 +112,7 @@ def sampled_step(design: VelocityLoopDesign) -> StepResponse:
 
 
 def step_responses(design: VelocityLoopDesign, points: int = 2001) -> tuple[StepResponse, StepResponse | None]:
-    """Step response of the continuous loop and of the loop as implemented, None where that is unstable."""
+    """Step response of the continuous loop and of the sampled loop, None for the latter if it is unstable."""
     return continuous_step(design, points), sampled_step(design) if design.sampled.stable else None
 
 
@@ -137,11 +137,11 @@ def _ascending(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gains_document(design: VelocityLoopDesign, verdict: DesignVerdict | None = None) -> dict[str, Any]:
-    """What ``gains`` says about ``design``: its plain data, the ``verdict`` on it, and its gains in each structure.
+    """Return the JSON document of ``gains``: ``design`` as plain data, its ``verdict``, its gains in each structure.
 
-    ``stable`` and ``worst_loop`` are the verdict over all loops and machines; ``reason`` says why the design is
-    refused, and ``nearest`` what is not. ``position_loop`` is the one designed around it, ``kept_position_loop`` has
-    the loops with the axis file's. ``load_range`` and ``mismatch`` are what was asked about.
+    ``stable`` and ``worst_loop`` are the verdict over all loops and machines; ``reason`` says why a design is refused,
+    ``nearest`` is the nearest that is not. ``position_loop`` is the one designed around it, ``kept_position_loop`` the
+    loops with that of the axis file. ``load_range`` and ``mismatch`` are there if the verdict has them.
     """
     verdict = verdict or DesignVerdict(design)
     document = {**design.to_dict(), **verdict.to_dict(), "structures": structures_side_by_side(design)}
@@ -164,42 +164,42 @@ def gains_document(design: VelocityLoopDesign, verdict: DesignVerdict | None = N
 
 
 def kept_position_loop(design: VelocityLoopDesign) -> dict[str, Any]:
-    """The loops of ``design`` within the axis file's position loop under that key; empty where it has none."""
+    """The loops of ``design`` with the axis file's position loop, under that key; empty if it has none."""
     loops = [loop.to_dict() for loop in design.kept_loops]
     return {"kept_position_loop": {"loops": loops}} if loops else {}
 
 
 def structures_side_by_side(design: VelocityLoopDesign) -> list[dict[str, Any]]:
-    """Bandwidth [rad/s], overshoot [%] and margins that the gains of ``design`` have in each structure.
+    """Return bandwidth [rad/s], overshoot [%] and margins of the gains of ``design`` in each structure.
 
-    ``phase_margin_deg`` and ``crossover`` are those of T_vo, continuous; at the plant input all structures are one
-    loop. ``sampled`` is the loop as implemented, None where that is unstable.
+    ``phase_margin_deg`` and ``crossover`` are those of T_vo, continuous; at the plant input all structures are the same
+    loop. ``sampled`` is the sampled loop, None if it is unstable.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
-    >>> for one in structures_side_by_side(design):
-    ...     print(one["label"], round(one["bandwidth"], 1), round(one["overshoot_percent"], 1))
+    >>> for row in structures_side_by_side(design):
+    ...     print(row["label"], round(row["bandwidth"], 1), round(row["overshoot_percent"], 1))
     IP 159.9 8.8
     PI 269.3 23.5
     PI with reference filter 159.9 8.8
     """
-    found = []
+    rows = []
     for structure in STRUCTURES:
-        one = replace(design, structure=structure)
-        continuous, sampled = step_responses(one)
-        found.append(
+        variant = replace(design, structure=structure)
+        continuous, sampled = step_responses(variant)
+        rows.append(
             {
                 "label": structure.label,
                 "structure": structure.form,
                 "reference_filter": structure.reference_filter,
-                "bandwidth": one.bandwidth,
+                "bandwidth": variant.bandwidth,
                 "overshoot_percent": continuous.overshoot_percent,
-                "crossover": one.crossover,
-                "phase_margin_deg": one.phase_margin_deg,
-                "sampled": {"bandwidth": one.sampled.bandwidth, "overshoot_percent": sampled.overshoot_percent}
+                "crossover": variant.crossover,
+                "phase_margin_deg": variant.phase_margin_deg,
+                "sampled": {"bandwidth": variant.sampled.bandwidth, "overshoot_percent": sampled.overshoot_percent}
                 if sampled
                 else None,
             }
         )
-    return found
+    return rows

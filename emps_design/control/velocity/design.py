@@ -6,11 +6,11 @@ With K = k_v1 G_tau and K_v = K / t_v,
     T_vc(s) = 1 / (1 + (t_v + F_v/K_v) s + M/K_v s^2)  closed loop, (8)
     L(s)    = K (1 + 1/(t_v s)) / (M s + F_v)          loop broken at the plant input
 
-What destabilises a real drive (delay, current loop, sampling) sits at the plant input, so margins are given there too.
-Two frequencies are called bandwidth: the crossover w_v of T_vo and the -3 dB frequency of T_vc; here ``crossover`` is
-the former and ``bandwidth`` the latter, with -3 dB taken as the ratio 10^(-3/20).
+Delay, current loop and sampling, which destabilise a real drive, act at the plant input, so margins are given there
+too. Two frequencies are called bandwidth: the crossover w_v of T_vo and the -3 dB frequency of T_vc; here ``crossover``
+is the former and ``bandwidth`` the latter, with -3 dB taken as the ratio 10^(-3/20).
 
-What an engineer asks once the gains are there: the code to paste, the room below the voltage limit, the noise.
+For the implementation there are the difference equation, the largest step below the voltage limit, and the noise.
 """
 
 from __future__ import annotations
@@ -147,10 +147,10 @@ def command_in_a_step(axis: Axis, loop: SampledVelocityLoop, velocity: float) ->
 
 
 def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
-    """Return the voltage [V] that the encoder's quantisation makes: rms in closed loop, and for one step of it.
+    """Return the voltage [V] due to the encoder's quantisation: ``rms`` in closed loop, and for one encoder step.
 
     Quantisation is taken as white noise of variance resolution^2/12, which holds in motion; ``one_step`` is the jump of
-    u when the reading moves by one step. ``loop`` has to be stable.
+    u when the reading changes by one step. ``loop`` must be stable.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -167,7 +167,9 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     law = loop.controller_response(w) * plant.filter_response(w)
     noise = law * estimate / (1.0 + loop.plant_input_response(w))
     rms = resolution / math.sqrt(12.0) * math.sqrt(float(np.mean(np.abs(noise) ** 2)))
-    first = math.prod(filter_polynomials(one, plant.period)[0][0] for one in plant.filters)  # what passes at once
+    first = math.prod(
+        filter_polynomials(section, plant.period)[0][0] for section in plant.filters
+    )  # what passes at once
     newest = polynomials(plant.estimator, plant.period)[0][0]
     one_step = first * loop.k_v1 * (1.0 + plant.period / loop.t_v) * newest / plant.period * resolution
     return {"rms": rms, "one_step": one_step, "resolution": resolution}
@@ -175,11 +177,11 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
 
 @dataclass(frozen=True)
 class VelocityLoopDesign:
-    """Gains of the velocity loop, what was asked, and what is achieved at each place where the loop can be broken.
+    """Gains of the velocity loop, the specification, and the margins at each place where the loop can be broken.
 
-    ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` holds the specification as given; ``retuned_at`` names the place
-    at which the sampled loop meets it, "" for gains from (7); ``velocity`` [m/s] is where the effects of the axis are
-    linearised. ``structure`` says what the gains act on, ``filters`` of the law's output are in the sampled loop alone.
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` is the specification; ``retuned_at`` names the place at which the
+    sampled loop meets it, "" for gains from (7); the effects of the axis are linearised at ``velocity`` [m/s].
+    ``structure`` says what the gains act on; ``filters`` at the law's output are in the sampled loop alone.
 
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
@@ -289,18 +291,18 @@ class VelocityLoopDesign:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader of the numbers has to know, instability first."""
+        """Warnings on the design, instability first."""
 
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)
         warnings += law_in_words(self.sampled, not self.retuned_at)
         if self.retuned_at:
-            asked = ", ".join(
+            request = ", ".join(
                 f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
                 for key, value in self.requested.items()
             )
             warnings.append(
-                f"retuned: the sampled loop has what was asked at the {self.retuned_at.replace('-', ' ')} ({asked}); "
+                f"retuned: the sampled loop meets the request at the {self.retuned_at.replace('-', ' ')} ({request}); "
                 "crossover, phase margin and bandwidth of T_vo and T_vc are the continuous loop's with these gains"
             )
         elif self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
@@ -312,7 +314,7 @@ class VelocityLoopDesign:
         return tuple(warnings)
 
     def velocity_error_loop(self) -> control.TransferFunction:
-        """T_vo(s) of (6); of "pi" the loop at the plant input."""
+        """T_vo(s) of (6); for "pi" the loop at the plant input."""
         import control
 
         if self.structure.form == "pi":
@@ -421,7 +423,7 @@ class VelocityLoopDesign:
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data with the keys of the contract."""
+        """Plain data, SI units, angles in degrees."""
         return {
             "axis": self.axis.name,
             "requested": dict(self.requested),
@@ -429,7 +431,7 @@ class VelocityLoopDesign:
             "retuned_at": self.retuned_at or None,
             "structure": self.structure.form,
             "reference_filter": self.structure.reference_filter,
-            "filters": [one.model_dump(exclude_none=True) for one in self.filters],
+            "filters": [section.model_dump(exclude_none=True) for section in self.filters],
             "k_v1": self.k_v1,
             "t_v": self.t_v,
             "drive_names": {

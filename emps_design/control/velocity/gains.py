@@ -1,20 +1,16 @@
 """Closed forms of the velocity loop: gains from a specification, (7) and (9), in both structures, IP and PI.
 
-Closed forms of the velocity loop: gains from a specification, (7), and what follows from it alone, (9).
+Functions that raise no error take arrays (n,) in place of numbers.
 
-Where nothing is refused, arrays (n,) in the place of numbers give as many answers.
-
-The two structures of a velocity loop with a gain and an integral time, in closed form: IP as in the paper, and PI.
-
-IP has its proportional part on the measured velocity, u = k_v1 (e/(t_v s) - qd), (6) to (9). PI, which servo drives
-run, has it on the velocity error e, u = k_v1 (1 + 1/(t_v s)) e. Broken at the plant input the two are one loop, with
-the same poles and the same answer to a disturbance; the reference acts through a zero besides:
+IP, as in the paper, has its proportional part on the measured velocity, u = k_v1 (e/(t_v s) - qd), (6) to (9). PI, as
+in servo drives, has it on the velocity error e, u = k_v1 (1 + 1/(t_v s)) e. Broken at the plant input the two are one
+loop, with the same poles and the same response to a disturbance; the reference of PI acts through an additional zero:
 
     T_vc(s) = (1 + t_v s) / (1 + (t_v + F_v/K_v) s + M/K_v s^2)
 
-so the same gains answer a step faster and overshoot more. A reference filter 1/(1 + t_v s) in front takes the zero
-away, and what is left is (8). Broken at the velocity error PI is the loop at the plant input, so its gains for a
-crossover and a phase margin are others than those of (7). ``derive`` has the steps.
+so with the same gains its step response is faster and overshoots more. A reference filter 1/(1 + t_v s) cancels the
+zero, which leaves (8). Broken at the velocity error PI is the loop at the plant input, so its gains for a crossover and
+a phase margin differ from those of (7). ``derive`` has the steps.
 """
 
 from __future__ import annotations
@@ -218,7 +214,7 @@ class Structure:
         return second_order_bandwidth(omega_0v, z_v, self.zero(t_v))
 
     def crossover_of_bandwidth(self, mass: float, viscous: float, bandwidth: Any, phase_margin_deg: Any) -> Any:
-        """Crossover [rad/s] whose closed loop has that -3 dB ``bandwidth`` [rad/s]; NaN where no gains have it.
+        """Crossover [rad/s] at which the closed loop has that -3 dB ``bandwidth`` [rad/s]; NaN if no gains have it.
 
         >>> w = PI.crossover_of_bandwidth(2.0, 1.0, 50.0, 60.0)
         >>> K, t_v = PI.gains(2.0, 1.0, w, 60.0)
@@ -229,11 +225,11 @@ class Structure:
         if self.form == "ip":
             return crossover_of_bandwidth(bandwidth, phase_margin_deg)
         f, phase = np.broadcast_arrays(viscous / mass / np.asarray(bandwidth, float), np.radians(phase_margin_deg))
-        found = self._crossover(f.ravel(), phase.ravel()).reshape(f.shape)
-        return (found * bandwidth)[()]
+        relative = self._crossover(f.ravel(), phase.ravel()).reshape(f.shape)
+        return (relative * bandwidth)[()]
 
     def _crossover(self, f: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """Crossovers (n,) in units of the bandwidth; ``f`` is F_v/M in the same. The lowest where there are several."""
+        """Crossovers (n,) in units of the bandwidth, the lowest of several; ``f`` (n,) is F_v/M in the same units."""
         s, c = np.sin(phase), np.cos(phase)
         power, ahead = MINUS_3_DB**-2, 0.0 if self.reference_filter else MINUS_3_DB**-2
         # power K_v^2 + ahead K^2 = (K_v - 1)^2 + (f + K)^2, over M, with K = s w - f c and K_v = c w^2 + f s w
@@ -249,31 +245,31 @@ class Structure:
         roots, f, s, c = np.linalg.eigvals(companion), f[:, None], s[:, None], c[:, None]
         real = roots.real
         good = (np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (real > 0.0) & (s * real > f * c) & (c * real > -f * s)
-        found = np.min(np.where(good, real, np.inf), axis=-1)
-        return np.where(np.isfinite(found), found, np.nan)
+        lowest = np.min(np.where(good, real, np.inf), axis=-1)
+        return np.where(np.isfinite(lowest), lowest, np.nan)
 
 
 def own_structure(axis: Axis, structure: Structure | None = None) -> Structure:
-    """``structure``, or where that is None the one of the controller of ``axis``: IP, but for a cascade with PI."""
+    """Return ``structure``, or if None that of the controller of ``axis``: IP except for a cascade with PI."""
     own = _cascade(axis) if structure is None else None
     return structure or (Structure(own.velocity.form) if own else IP)
 
 
 def own_filters(axis: Axis, filters: tuple[cascade.Filter, ...] | None = None) -> tuple[cascade.Filter, ...]:
-    """``filters``, or where that is None those of the controller of ``axis``: none, but for a cascade."""
+    """Return ``filters``, or if None those of the controller of ``axis``: none except for a cascade."""
     own = _cascade(axis) if filters is None else None
     return filters or (own.filters if own else ())
 
 
 def own_gains(axis: Axis) -> tuple[float, float] | None:
-    """k_v1 [V/(m/s)] and t_v [s] of the velocity loop that the controller of ``axis`` has; None where it has none."""
+    """k_v1 [V/(m/s)] and t_v [s] of the velocity loop of the controller of ``axis``; None if it has none."""
     own = _cascade(axis)
     k_v1, t_v = (own.velocity.kp, own.velocity.ti) if own else (axis.controller.k_v1, axis.controller.t_v)
     return None if k_v1 is None or t_v is None else (k_v1, t_v)
 
 
 def _cascade(axis: Axis) -> cascade.Table | None:
-    """The cascade that ``axis`` has for a controller, None where it has none."""
+    """The cascade controller of ``axis``, None if it has another one."""
     table = table_of(axis) if axis.controller.kind == cascade.LAW.name else None
     return table if isinstance(table, cascade.Table) else None
 

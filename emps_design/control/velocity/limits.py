@@ -1,9 +1,9 @@
-"""How fast a velocity loop may be made, what ends that, and whether a filter of the command moves the end.
+"""The largest crossover of a velocity loop, what limits it, and whether a filter of the command raises it.
 
-The crossover is raised with the phase margin held, by the gains of :mod:`.retune`, until the sampled loop no longer has
-what :data:`GAIN_MARGIN` and :data:`~emps_design.control.velocity.specification.ROOM` ask for, or the command no longer
-stays within its limit. What ends it is a resonance where the loop comes to its limit beside one, and otherwise the lag
-of hold, delay, current loop, estimator and filters, in one word: delay.
+The crossover is raised at constant phase margin, with the gains of :mod:`.retune`, until the sampled loop no longer has
+the margins :data:`GAIN_MARGIN` and :data:`~emps_design.control.velocity.specification.ROOM`, or the command exceeds its
+limit. The cause is a resonance if the loop reaches its limit close to one, and otherwise the lag of hold, delay,
+current loop, estimator and filters, called delay.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from emps_design.control.velocity.sweeps import sweep_sampled_margins
 from emps_design.laws.library.cascade import Filter
 
 GAIN_MARGIN = 2.0
-INTEGRAL = 10.0  # crossover times integral time, at most: beyond, next to nothing holds against a constant force
-NOISE = 0.05  # of the command's limit: rms of what the encoder's steps make of the command
+INTEGRAL = 10.0  # largest crossover times integral time: beyond, a constant force is hardly compensated
+NOISE = 0.05  # of the command's limit: largest rms of the command due to encoder quantisation
 DELAY = "delay: hold, delay, current loop, estimator and filters leave no more phase"
-PAYS = 1.1  # by how much a filter has to raise the crossover to be worth its place
+PAYS = 1.1  # factor by which a filter has to raise the crossover to be proposed
 GRID = 160
-SLOWEST = 0.05  # of the fastest loop's crossover, from which on its limits are looked at
-COARSE, CLOSE = 12, 0.005  # crossovers at which a limit is looked at, and how closely its ends are then found
+SLOWEST = 0.05  # of the fastest loop's crossover: the lowest one at which limits are checked
+COARSE, CLOSE = 12, 0.005  # crossovers at which a limit is checked, and relative accuracy of its ends
 NOTCHES = ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3))  # damping and depth
 LOWPASSES = (2.0, 4.0, 8.0)  # corners, in crossovers
 
@@ -51,24 +51,24 @@ class Reach:
 def reach(
     plant: SampledPlant, phase_margin_deg: float, gain_margin: float = GAIN_MARGIN, disk_margin: float = 0.0
 ) -> Reach:
-    """The fastest sampled loop around ``plant`` with that phase margin at the plant input, its other margins kept too.
+    """Return the fastest sampled loop around ``plant`` with that phase margin at the plant input and other margins.
 
     ``gain_margin`` [ratio] and ``disk_margin`` are the least that it may have.
 
     >>> from emps_design.machines import machine
-    >>> found = reach(sample_axis(machine("emps2018")), 60.0)
-    >>> round(found.crossover, -1), found.limit[:5]
+    >>> fastest = reach(sample_axis(machine("emps2018")), 60.0)
+    >>> round(fastest.crossover, -1), fastest.limit[:5]
     (220.0, 'delay')
     """
     nyquist = math.pi / plant.period
     best = Reach(0.0, math.nan, math.nan, DELAY)
     low, high = 1e-4 * nyquist, 0.9 * nyquist
-    for _ in range(2):  # once along everything, once where it ends
+    for _ in range(2):  # all frequencies, then around the limit
         w = np.geomspace(low, high, GRID)
         k_v1, t_v = retuned_gains(plant, w, phase_margin_deg)
-        found = sweep_sampled_margins(plant, k_v1, t_v, 200, exact_delay=False)
-        good = found["stable"] & (np.abs(found["phase_margin_deg"] - phase_margin_deg) < 1e-6)
-        good &= ~(found["gain_margin"] < gain_margin) & ~(found["delay_margin"] < ROOM * plant.period)
+        margins = sweep_sampled_margins(plant, k_v1, t_v, 200, exact_delay=False)
+        good = margins["stable"] & (np.abs(margins["phase_margin_deg"] - phase_margin_deg) < 1e-6)
+        good &= ~(margins["gain_margin"] < gain_margin) & ~(margins["delay_margin"] < ROOM * plant.period)
         good &= t_v * w <= INTEGRAL
         if disk_margin > 0.0:
             good[good] &= _disk_margins(plant, k_v1[good], t_v[good]) >= disk_margin
@@ -77,7 +77,9 @@ def reach(
         last = int(np.flatnonzero(good)[-1])
         after = min(last + 1, GRID - 1)
         beyond = SampledVelocityLoop(plant, float(k_v1[after]), float(t_v[after]))
-        limit = _what_ends(plant, gain_margin, w[after], {key: values[after] for key, values in found.items()}, beyond)
+        limit = _what_ends(
+            plant, gain_margin, w[after], {key: values[after] for key, values in margins.items()}, beyond
+        )
         best = Reach(float(w[last]), float(k_v1[last]), float(t_v[last]), limit)
         low, high = w[last], w[after]
     return best
@@ -90,15 +92,15 @@ def _disk_margins(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.
 
 
 def _what_ends(
-    plant: SampledPlant, gain_margin: float, w: float, found: dict[str, float], loop: SampledVelocityLoop
+    plant: SampledPlant, gain_margin: float, w: float, margins: dict[str, float], loop: SampledVelocityLoop
 ) -> str:
-    """What the first ``loop`` that is too fast runs into: a resonance beside the place where it does, or delay."""
+    """Return the limit that the first too fast ``loop`` violates: a resonance near that frequency, or delay."""
     at = w
-    if found["stable"]:
-        if found["crossover"] > 1.05 * w:
-            at = found["crossover"]
-        elif found["gain_margin"] < gain_margin:
-            at = found["gain_margin_frequency"]
+    if margins["stable"]:
+        if margins["crossover"] > 1.05 * w:
+            at = margins["crossover"]
+        elif margins["gain_margin"] < gain_margin:
+            at = margins["gain_margin_frequency"]
     elif math.isfinite(loop.k_v1):
         grid = plant.frequencies()
         at = float(grid[np.argmin(np.abs(1.0 + loop.plant_input_response(grid)))])
@@ -107,50 +109,50 @@ def _what_ends(
 
 
 def limits(
-    axis: Axis, plant: SampledPlant, found: Reach, phase_margin_deg: float, structure: Structure, velocity: float
+    axis: Axis, plant: SampledPlant, fastest: Reach, phase_margin_deg: float, structure: Structure, velocity: float
 ) -> dict[str, Any]:
-    """Crossovers [rad/s] up to which each limit lets the loop go, and the one that binds.
+    """Return the crossover [rad/s] at which each limit binds, and the one that binds first.
 
-    ``encoder_noise``: rms of the command at :data:`NOISE` of its limit; ``voltage``: a step of the reference by
-    ``velocity`` [m/s] reaches the limit. None where a limit does not bind below the first. A command that a step takes
-    less of again in a faster loop may bind in a range only: ``binding`` says which. They are looked at from
-    :data:`SLOWEST` of the first on; one that binds there binds already below.
+    ``loop`` is that of the ``fastest`` loop; ``encoder_noise``: the rms of the command reaches :data:`NOISE` of its
+    limit; ``voltage``: a step of the reference by ``velocity`` [m/s] reaches the limit; None if a limit does not bind
+    below the fastest. The command of a step may fall again in a faster loop and so bind in a range only: ``binding``
+    names it. The check starts at :data:`SLOWEST` of the fastest crossover; what binds there binds below too.
     """
     ends: dict[str, float | None] = {"encoder_noise": None, "voltage": None}
-    if not found.crossover:
-        return {"loop": 0.0, **ends, "binding": found.limit}
+    if not fastest.crossover:
+        return {"loop": 0.0, **ends, "binding": fastest.limit}
     limit = axis.drive.command_limit
 
     def loop(w: float) -> SampledVelocityLoop | None:
         k_v1, t_v = (float(gain) for gain in retuned_gains(plant, w, phase_margin_deg))
-        one = SampledVelocityLoop(plant, k_v1, t_v, structure)
-        return one if math.isfinite(k_v1) and one.stable else None
+        candidate = SampledVelocityLoop(plant, k_v1, t_v, structure)
+        return candidate if math.isfinite(k_v1) and candidate.stable else None
 
     def noisy(w: float) -> bool:
-        one = loop(w)
-        return one is not None and encoder_voltage_noise(axis, one)["rms"] > NOISE * limit
+        candidate = loop(w)
+        return candidate is not None and encoder_voltage_noise(axis, candidate)["rms"] > NOISE * limit
 
     def too_much(w: float) -> bool:
-        one = loop(w)
-        return one is not None and command_in_a_step(axis, one, abs(velocity)) > limit
+        candidate = loop(w)
+        return candidate is not None and command_in_a_step(axis, candidate, abs(velocity)) > limit
 
-    grid = np.geomspace(SLOWEST * found.crossover, found.crossover, COARSE)
+    grid = np.geomspace(SLOWEST * fastest.crossover, fastest.crossover, COARSE)
     noise, voltage = _exceeded(noisy, grid), _exceeded(too_much, grid)
     named = {
         f"encoder noise: more than {100.0 * NOISE:g} % of the limit of the command": noise,
         f"voltage: a step of {abs(velocity):g} m/s takes more than the limit": voltage,
-        found.limit: (found.crossover, None),
+        fastest.limit: (fastest.crossover, None),
     }
     ranges = ((name, where) for name, where in named.items() if where is not None)
-    name, (first, last) = min(ranges, key=lambda one: one[1][0])
+    name, (first, last) = min(ranges, key=lambda entry: entry[1][0])
     begin = "from below" if first == grid[0] else "from"
     until = "rad/s on" if last is None else f"to {last:.4g} rad/s"
     ends = {"encoder_noise": noise and noise[0], "voltage": voltage and voltage[0]}
-    return {"loop": found.crossover, **ends, "binding": f"{name}, {begin} {first:.4g} {until}"}
+    return {"loop": fastest.crossover, **ends, "binding": f"{name}, {begin} {first:.4g} {until}"}
 
 
 def _exceeded(exceeds: Callable[[float], bool], grid: np.ndarray) -> tuple[float, float | None] | None:
-    """Where a limit is first exceeded along ``grid`` (n,), and where no longer; None: nowhere, or to its end."""
+    """Return where along ``grid`` (n,) a limit is first exceeded, and up to where (None: the end); None if nowhere."""
     there = [exceeds(float(w)) for w in grid]
     if True not in there:
         return None
@@ -163,7 +165,7 @@ def _exceeded(exceeds: Callable[[float], bool], grid: np.ndarray) -> tuple[float
 
 
 def _change(exceeds: Callable[[float], bool], low: float, high: float) -> float:
-    """Where between ``low`` and ``high`` [rad/s] the answer changes, to :data:`CLOSE`."""
+    """Frequency [rad/s] between ``low`` and ``high`` at which ``exceeds`` changes, to :data:`CLOSE`."""
     before = exceeds(low)
     while high > low * (1.0 + CLOSE):
         middle = math.sqrt(low * high)
@@ -178,17 +180,17 @@ def suggest_filter(
     filters: tuple[Filter, ...] = (),
     velocity: float = 0.1,
 ) -> dict[str, Any]:
-    """What limits the loop of ``axis`` at that phase margin, and the one more filter that raises the crossover most.
+    """Return the limits of the loop of ``axis`` at that phase margin, and the additional filter that helps most.
 
-    ``without`` and ``with`` have the largest crossover [rad/s] within the same limits of the margins, what binds and
-    the noise of the command. ``with_equal_margins`` has that of the filter with gain and disk margin no less than
-    ``without`` has, which may be far above the limits. ``filter`` is None where none pays: of those that raise the
-    crossover within the limits by :data:`PAYS`, it is the one that raises it most at equal margins.
+    ``without`` and ``with`` have the largest crossover [rad/s] within the same limits of the margins, the binding limit
+    and the noise of the command. ``with_equal_margins`` has the crossover with the filter and gain and disk margin no
+    less than ``without`` the filter, which may be far above the limits. ``filter`` is the one that raises the crossover
+    most at equal margins, of those that raise it by :data:`PAYS` within the limits; None if there is none.
 
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
-    >>> found = suggest_filter(machine("emps2018").replace(effects=bent), 50.0)
-    >>> found["filter"]["kind"], found["with"]["crossover"] > 1.5 * found["without"]["crossover"]
+    >>> suggestion = suggest_filter(machine("emps2018").replace(effects=bent), 50.0)
+    >>> suggestion["filter"]["kind"], suggestion["with"]["crossover"] > 1.5 * suggestion["without"]["crossover"]
     ('notch', True)
     """
 
@@ -198,23 +200,23 @@ def suggest_filter(
     equal = {"gain_margin": GAIN_MARGIN, "disk_margin": 0.0}
     if kept is not None:
         equal = {"gain_margin": kept.gain_margin or GAIN_MARGIN, "disk_margin": kept.disk_margin or 0.0}
-    # The filter, the plant with it, what it reaches within the limits, and what at the margins that there are without.
+    # The filter, the plant with it, the fastest loop within the limits, and the fastest with the margins of no filter.
     best: tuple[Filter, SampledPlant, Reach, Reach] | None = None
-    for one in _candidates(plant, own.crossover):
-        filtered = sample_axis(axis, velocity, (*filters, one))
+    for candidate in _candidates(plant, own.crossover):
+        filtered = sample_axis(axis, velocity, (*filters, candidate))
         within = reach(filtered, phase_margin_deg)
         if within.crossover > PAYS * own.crossover:
             alike = reach(filtered, phase_margin_deg, **equal)
             if best is None or alike.crossover > best[3].crossover:
-                best = one, filtered, within, alike
+                best = candidate, filtered, within, alike
 
-    def document(found: Reach, plant: SampledPlant) -> dict[str, Any]:
-        loop = SampledVelocityLoop(plant, found.k_v1, found.t_v, structure) if found.crossover else None
+    def document(fastest: Reach, plant: SampledPlant) -> dict[str, Any]:
+        loop = SampledVelocityLoop(plant, fastest.k_v1, fastest.t_v, structure) if fastest.crossover else None
         return {
-            "crossover": found.crossover or None,
-            "limits": limits(axis, plant, found, phase_margin_deg, structure, velocity),
-            "k_v1": found.k_v1 if loop else None,
-            "t_v": found.t_v if loop else None,
+            "crossover": fastest.crossover or None,
+            "limits": limits(axis, plant, fastest, phase_margin_deg, structure, velocity),
+            "k_v1": fastest.k_v1 if loop else None,
+            "t_v": fastest.t_v if loop else None,
             "margins": loop.margins.to_dict() if loop else None,
             "bandwidth": loop.bandwidth if loop else None,
             "command_noise": encoder_voltage_noise(axis, loop)["rms"] if loop else None,
@@ -231,7 +233,7 @@ def suggest_filter(
 
 
 def faster_in_words(loop: SampledVelocityLoop, phase_margin_deg: float, fastest: float | None) -> str:
-    """Say which limit a stable ``loop`` exceeds that crosses over above the ``fastest`` [rad/s]; "" where none does.
+    """Return which limits a stable ``loop`` with a crossover above ``fastest`` [rad/s] exceeds; empty if none.
 
     ``fastest`` is the largest crossover within the limits at that phase margin, None for none.
 
@@ -260,9 +262,9 @@ def faster_in_words(loop: SampledVelocityLoop, phase_margin_deg: float, fastest:
 
 
 def first_try(axis: Axis, crossover: float, kind: str) -> Filter:
-    """A filter to start from: a "notch" at the lowest resonance of ``axis``, a "lowpass" above ``crossover`` [rad/s].
+    """Return an initial filter: a "notch" at the lowest resonance of ``axis``, a "lowpass" above ``crossover`` [rad/s].
 
-    Of a rigid axis the notch is above the crossover too.
+    For a rigid axis the notch is above the crossover too.
 
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
@@ -272,17 +274,17 @@ def first_try(axis: Axis, crossover: float, kind: str) -> Filter:
     corner = LOWPASSES[-1] * crossover / (2.0 * math.pi)
     if kind == "lowpass":
         return Filter(kind=kind, frequency=corner)
-    at_resonances = [one for one in _candidates(sample_axis(axis), crossover) if one.kind == kind]
+    at_resonances = [candidate for candidate in _candidates(sample_axis(axis), crossover) if candidate.kind == kind]
     damping, depth = NOTCHES[0]
     return (*at_resonances, Filter(kind=kind, frequency=corner, damping=damping, depth=depth))[0]
 
 
 def _candidates(plant: SampledPlant, crossover: float) -> list[Filter]:
-    """Filters to try: notches at the resonances, where the discretisation puts them, and low-passes above."""
-    T, found = plant.period, []
+    """Return filters to try: notches at the resonances of the sampled plant, and low-passes above the crossover."""
+    T, filters = plant.period, []
     for w, _ in plant.resonances:
         if w * T < 0.9 * math.pi:
-            centre = math.tan(0.5 * w * T) / (math.pi * T)  # the bilinear transform brings it to w
-            found += [Filter(kind="notch", frequency=centre, damping=z, depth=depth) for z, depth in NOTCHES]
+            centre = math.tan(0.5 * w * T) / (math.pi * T)  # the bilinear transform maps it to w
+            filters += [Filter(kind="notch", frequency=centre, damping=z, depth=depth) for z, depth in NOTCHES]
     corners = [times * crossover / (2.0 * math.pi) for times in LOWPASSES]
-    return found + [Filter(kind="lowpass", frequency=f) for f in corners if 0.0 < f < 0.4 / T]
+    return filters + [Filter(kind="lowpass", frequency=f) for f in corners if 0.0 < f < 0.4 / T]

@@ -1,11 +1,11 @@
-"""A velocity loop on an axis whose load changes: margins over a range, the one design that holds, or a schedule.
+"""A velocity loop on an axis whose load or model varies: margins over a range, one robust design, or a gain schedule.
 
-A range has factors of the inertia and of the compliance, and delay that may come on top; each is tried at its ends and
-in the middle. Where the axis has a second mass behind a coupling, the change of inertia is that of the second mass.
-Phase margin and crossover are those of the loop broken where the specification stands: at the velocity error for gains
-of (7), where they were retuned for retuned ones. Gain and delay margin are kept at the plant input, where both act.
+A range has factors of the inertia and of the compliance, and additional delay; each is evaluated at its ends and in the
+middle. If the axis has a second mass behind a coupling, the change of inertia is that of the second mass. Phase margin
+and crossover are those of the loop broken where the specification applies: at the velocity error for gains of (7), at
+the place of retuning for retuned ones. Gain and delay margin are those at the plant input, where both act.
 
-What a wrong model does to a design: the same gains on other plants, and the gains those plants would get.
+Under a mismatch of the model the same gains run on other plants; the gains that (7) gives for those plants are listed.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from emps_design.control.velocity.sweeps import sweep_sampled_margins
 from emps_design.errors import InputError
 
 COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that splits the mass by a spring
-MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg, tried above what is asked, for the load that has most
+MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg above the requested phase margin, tried for the load with the largest one
 CROSSOVERS = 60
-CLOSE = 1.17  # the step of so many crossovers along everything
-ENOUGH = (3, 9, 5, 3)  # steps of a range in which none, one, two or three things vary
-MOST_DELAY = 1000  # samples, as of an axis's own computation delay
-EQUAL = 0.02  # share of the crossover, by which a slower loop with more integral action is as good
+CLOSE = 1.17  # ratio of two neighbours on a grid of that many crossovers up to Nyquist
+ENOUGH = (3, 9, 5, 3)  # steps of a range in which none, one, two or three quantities vary
+MOST_DELAY = 1000  # samples, the same limit as for an axis's own computation delay
+EQUAL = 0.02  # share of the crossover that is traded for more integral action
 
 PARAMETERS = {"mass": "mechanics", "viscous": "mechanics", "force_gain": "drive"}
 
 
 @dataclass(frozen=True)
 class LoadRange:
-    """Lowest and highest ``inertia`` and ``compliance`` as factors, and ``delay`` [s] that comes on top."""
+    """Lowest and highest ``inertia`` and ``compliance`` as factors, and additional ``delay`` [s]."""
 
     inertia: tuple[float, float] = (1.0, 1.0)
     compliance: tuple[float, float] = (1.0, 1.0)
@@ -57,31 +57,31 @@ class LoadRange:
 
     @property
     def enough(self) -> int:
-        """So many steps each way show where loops are unstable between the ends: the fewer, the more that varies."""
+        """Number of steps per quantity that shows instability between the ends; fewer if more quantities vary."""
         return ENOUGH[sum(low < high for low, high in vars(self).values())]
 
     def points(self, count: int = 3) -> list[dict[str, float]]:
         """Every combination of 3, 5, 9 ... steps of each: the ends, the middle, and the middles between those."""
 
         def tried(low: float, high: float) -> list[float]:
-            found = [low, high] if low < high else [low]
-            while 1 < len(found) < count:
-                pairs = list(itertools.pairwise(found))
+            steps = [low, high] if low < high else [low]
+            while 1 < len(steps) < count:
+                pairs = list(itertools.pairwise(steps))
                 middles = [math.sqrt(a * b) if low > 0.0 else 0.5 * (a + b) for a, b in pairs]
-                found = sorted([*found, *middles])
-            return found
+                steps = sorted([*steps, *middles])
+            return steps
 
         names = tuple(vars(self))
         return [
-            dict(zip(names, one, strict=True))
-            for one in itertools.product(*(tried(*ends) for ends in vars(self).values()))
+            dict(zip(names, combination, strict=True))
+            for combination in itertools.product(*(tried(*ends) for ends in vars(self).values()))
         ]
 
 
 def loaded(axis: Axis, inertia: float, compliance: float) -> Axis:
-    """``axis`` with its inertia and the compliance of its coupling times these factors.
+    """Return ``axis`` with its inertia and the compliance of its coupling times these factors.
 
-    Raises :class:`InputError` for a compliance without a coupling, and an inertia less than what is before it.
+    Raises :class:`InputError` for a compliance without a coupling, and an inertia below that before the coupling.
 
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 50.0, "damping": 0.02, "share": 0.5}]
@@ -113,15 +113,15 @@ def loaded(axis: Axis, inertia: float, compliance: float) -> Axis:
 
 
 def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str, Any]:
-    """Margins of ``design`` at every point of ``span``, the one design that holds over it, and the schedule.
+    """Return the margins of ``design`` at every point of ``span``, the best single design over it, and a schedule.
 
     ``at`` is the place of the phase margins [deg] and crossovers [rad/s]: "velocity-error" or "plant-input". ``points``
-    have the margins there of the gains as they are, and those at the ``plant_input``; ``worst`` is the point with the
-    least phase margin, an unstable one first. ``one``: gains with which every point has the phase margin asked for, and
-    the gain margin and the room for delay of :mod:`.limits`; the fastest such by its ``slowest_crossover``, None where
-    there are none. The crossover of a point counts there as its lowest: behind a resonance a loop may cross 0 dB again.
-    ``schedule``: by inertia, the fastest gains that hold at that inertia, whatever compliance and delay in the range.
-    ``text`` says which is needed. :class:`InputError` for more delay than :data:`MOST_DELAY`.
+    have the margins of the present gains there and at the ``plant_input``; ``worst`` is the point with the least phase
+    margin, an unstable one first. ``one``: gains with which every point has the requested phase margin and the gain and
+    delay margins of :mod:`.limits`; the fastest by their ``slowest_crossover``, None if there are none. The crossover
+    of a point is its lowest: above a resonance a loop may cross 0 dB again. ``schedule``: by inertia, the fastest gains
+    that hold at that inertia with every compliance and delay of the range. ``text`` says which is needed. Raises
+    :class:`InputError` for more delay than :data:`MOST_DELAY`.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -143,44 +143,50 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
         axis = loaded(design.axis, point["inertia"], point["compliance"])
         plant = sample_axis(axis, design.velocity, design.filters)
         plants.append(plant.delayed(point["delay"]) if point["delay"] else plant)
-    found = []
+    entries = []
     for point, plant in zip(points, plants, strict=True):
         loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
         margins = _margins(loop, at)
-        found.append({**point, "bandwidth": loop.bandwidth, **margins.to_dict(), "plant_input": loop.margins.to_dict()})
+        entries.append(
+            {**point, "bandwidth": loop.bandwidth, **margins.to_dict(), "plant_input": loop.margins.to_dict()}
+        )
     worst = min(
-        found, key=lambda one: (one["stable"], math.inf if one["phase_margin_deg"] is None else one["phase_margin_deg"])
+        entries,
+        key=lambda entry: (
+            entry["stable"],
+            math.inf if entry["phase_margin_deg"] is None else entry["phase_margin_deg"],
+        ),
     )
-    asked = _asked(design, at)
-    one = _holding(plants, phase, at, asked)
+    crossover = _requested_crossover(design, at)
+    single = _holding(plants, phase, at, crossover)
     schedule = []
     for inertia in sorted({point["inertia"] for point in points}):
         own = [plant for point, plant in zip(points, plants, strict=True) if point["inertia"] == inertia]
-        schedule.append({"inertia": inertia, "gains": _holding(own, phase, at, asked)})
+        schedule.append({"inertia": inertia, "gains": _holding(own, phase, at, crossover)})
     return {
         "at": at,
         "phase_margin_deg": phase,
-        "points": found,
+        "points": entries,
         "worst": worst,
-        "one": one,
+        "one": single,
         "schedule": schedule,
-        "text": _in_words(asked, at, one, schedule),
+        "text": _in_words(crossover, at, single, schedule),
     }
 
 
 def _margins(loop: SampledVelocityLoop, at: str) -> Margins:
-    """Margins of ``loop`` broken ``at`` that place."""
+    """Margins of ``loop`` broken ``at`` the plant input or the velocity error."""
     return loop.margins if at == PLACES[0] else loop.velocity_error
 
 
-def _holding(plants: list[SampledPlant], phase: float, at: str, asked: float) -> dict[str, Any] | None:
-    """The fastest gains with which all ``plants`` have that phase margin [deg] ``at`` the place, None for none.
+def _holding(plants: list[SampledPlant], phase: float, at: str, crossover: float) -> dict[str, Any] | None:
+    """Return the fastest gains with which all ``plants`` have that phase margin [deg] at ``at``, None for none.
 
-    Of gains that differ by :data:`EQUAL`, those with the most integral action that still have the crossover ``asked``
-    [rad/s], where any have.
+    Of gains whose crossovers differ by less than :data:`EQUAL`, those with the most integral action; they keep the
+    requested ``crossover`` [rad/s] if any gains do.
     """
     nyquist, best, fastest = math.pi / plants[0].period, None, 0.0
-    for plant in (plants[0], plants[-1]):  # those for which gains are made: the ends of the range
+    for plant in (plants[0], plants[-1]):  # gains are computed for the ends of the range
         w = np.geomspace(1e-4, 0.9, CROSSOVERS) * nyquist
         for _ in range(2):  # once along everything, once beside the best
             tried, more = (pair.ravel() for pair in np.meshgrid(w, phase + MORE_PHASE))
@@ -188,10 +194,10 @@ def _holding(plants: list[SampledPlant], phase: float, at: str, asked: float) ->
             slowest, least = _over_plants(plants, k_v1, t_v, phase, at)
             top = float(slowest.max())
             if top > fastest:
-                good = np.flatnonzero(slowest >= max((1.0 - EQUAL) * top, min(asked, top)))
+                good = np.flatnonzero(slowest >= max((1.0 - EQUAL) * top, min(crossover, top)))
                 place = good[np.argmax(k_v1[good] / t_v[good])]
-                found = {"k_v1": k_v1, "t_v": t_v, "slowest_crossover": slowest, "phase_margin_deg": least}
-                fastest, best = top, {name: float(values[place]) for name, values in found.items()}
+                fields = {"k_v1": k_v1, "t_v": t_v, "slowest_crossover": slowest, "phase_margin_deg": least}
+                fastest, best = top, {name: float(values[place]) for name, values in fields.items()}
             if top == 0.0:
                 break
             own = float(tried[np.argmax(slowest)])
@@ -202,49 +208,49 @@ def _holding(plants: list[SampledPlant], phase: float, at: str, asked: float) ->
 def _over_plants(
     plants: list[SampledPlant], k_v1: np.ndarray, t_v: np.ndarray, phase: float, at: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Slowest lowest crossover [rad/s] and least phase margin [deg] of gains (n,) over ``plants``, 0 for none."""
-    good, found = np.flatnonzero(np.isfinite(k_v1)), np.full((2, k_v1.size), np.inf)
+    """Slowest crossover [rad/s] and least phase margin [deg] of gains (n,) over ``plants``, 0 if a plant fails."""
+    good, extremes = np.flatnonzero(np.isfinite(k_v1)), np.full((2, k_v1.size), np.inf)
     for plant in plants:
         margins = {
             place: sweep_sampled_margins(plant, k_v1[good], t_v[good], 120, place, exact_delay=False)
             for place in {at, PLACES[0]}
         }
-        there, entry = margins[at], margins[PLACES[0]]
+        there, input_margins = margins[at], margins[PLACES[0]]
         holds = there["stable"] & (there["phase_margin_deg"] >= phase - 1e-6)
-        holds &= ~(entry["gain_margin"] < GAIN_MARGIN) & ~(entry["delay_margin"] < ROOM * plant.period)
+        holds &= ~(input_margins["gain_margin"] < GAIN_MARGIN) & ~(input_margins["delay_margin"] < ROOM * plant.period)
         holds &= there[LOWEST] * t_v[good] <= 2.0 * INTEGRAL
-        found[:, good] = np.fmin(found[:, good], [there[LOWEST], there["phase_margin_deg"]])
+        extremes[:, good] = np.fmin(extremes[:, good], [there[LOWEST], there["phase_margin_deg"]])
         good = good[holds]
-    slowest, least = np.where(np.isin(np.arange(k_v1.size), good), found, 0.0)
+    slowest, least = np.where(np.isin(np.arange(k_v1.size), good), extremes, 0.0)
     return slowest, least
 
 
-def _asked(design: VelocityLoopDesign, at: str) -> float:
-    """The crossover [rad/s] asked for, or the one at that place that comes with the bandwidth asked for."""
-    asked = design.requested.get("crossover")
-    if asked is None and design.retuned_at:
+def _requested_crossover(design: VelocityLoopDesign, at: str) -> float:
+    """Return the requested crossover [rad/s], or the one at ``at`` that follows from the requested bandwidth."""
+    crossover = design.requested.get("crossover")
+    if crossover is None and design.retuned_at:
         gains = np.array([design.k_v1]), np.array([design.t_v])
-        asked = float(sweep_sampled_margins(design.sampled.plant, *gains, at=at)[LOWEST][0])
-    return float(design.crossover if asked is None else asked)
+        crossover = float(sweep_sampled_margins(design.sampled.plant, *gains, at=at)[LOWEST][0])
+    return float(design.crossover if crossover is None else crossover)
 
 
-def _in_words(asked: float, at: str, one: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:
+def _in_words(crossover: float, at: str, single: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:
     place = f"at the {at.replace('-', ' ')}"
-    alone, enough = [entry["gains"] for entry in schedule], asked * (1.0 - 1e-3)
-    if one is not None and one["slowest_crossover"] >= enough:
+    alone, enough = [entry["gains"] for entry in schedule], crossover * (1.0 - 1e-3)
+    if single is not None and single["slowest_crossover"] >= enough:
         return (
-            f"one design holds over the range: at least {one['slowest_crossover']:.4g} rad/s of crossover {place} "
+            f"one design holds over the range: at least {single['slowest_crossover']:.4g} rad/s of crossover {place} "
             "everywhere"
         )
     if all(gains is not None and gains["slowest_crossover"] >= enough for gains in alone):
         return (
-            f"no one design has a crossover of {asked:.4g} rad/s {place} over the range: the gains have to follow the "
-            "inertia, as scheduled"
+            f"no one design has a crossover of {crossover:.4g} rad/s {place} over the range: the gains have to follow "
+            "the inertia, as scheduled"
         )
-    if one is not None:
+    if single is not None:
         return (
-            f"a crossover of {asked:.4g} rad/s {place} cannot be had over the range, scheduled or not; one design "
-            f"holds with at least {one['slowest_crossover']:.4g} rad/s"
+            f"a crossover of {crossover:.4g} rad/s {place} cannot be had over the range, scheduled or not; one design "
+            f"holds with at least {single['slowest_crossover']:.4g} rad/s"
         )
     return "no one design holds over the range, at any crossover"
 
@@ -261,35 +267,35 @@ def relative_mismatch(mismatch: float) -> dict[str, float]:
 
 
 def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """What identified ``parameters`` may be off by, as shares of the axis's own: the half of their 95 % intervals.
+    """Return the relative uncertainty of identified mass and viscous friction: half of their 95 % intervals.
 
     ``parameters`` is that member of ``identify --json``: name -> {value, std, interval_95 ...}, of one record or of
-    several. Mass and viscous friction count. The interval holds what is known of a filter's error; where there are
-    several (a bootstrap's, two directions), or only deviations (2 std, the spread between records), the largest is
-    taken. :class:`InputError` where mass or viscous has none.
+    several. The interval includes what is known of a filter's error; of several (a bootstrap's, two directions), or of
+    deviations alone (2 std, the spread between records), the largest is taken. The shares are of the axis's own
+    numbers. Raises :class:`InputError` if mass or viscous has no interval.
 
     >>> from emps_design.machines import machine
-    >>> found = {"mass": {"std": 0.29}, "viscous": {"std": 8.8, "interval_95": [455.0, 493.0]}}
-    >>> round(identified_mismatch(machine("emps2018"), found)["viscous"], 3)
+    >>> parameters = {"mass": {"std": 0.29}, "viscous": {"std": 8.8, "interval_95": [455.0, 493.0]}}
+    >>> round(identified_mismatch(machine("emps2018"), parameters)["viscous"], 3)
     0.04
     """
-    found: dict[str, float] = {}
+    shares: dict[str, float] = {}
     for name in ("mass", "viscous"):
         entries = [parameters[key] for key in (name, f"{name}_positive", f"{name}_negative") if key in parameters]
         halves = [half for entry in entries for key, value in entry.items() if (half := _half(key, value)) is not None]
         if not halves:
             raise InputError(f"identified parameters: {name} has no std, expected those of an identification as JSON")
         own = getattr(axis.mechanics, name)
-        found[name] = max(halves) / own if own > 0.0 else 0.0
-        if found[name] >= 1.0:
+        shares[name] = max(halves) / own if own > 0.0 else 0.0
+        if shares[name] >= 1.0:
             raise InputError(
-                f"identified parameters: the interval of {name} is +-{found[name]:.3g} of its value, expected below 1"
+                f"identified parameters: the interval of {name} is +-{shares[name]:.3g} of its value, expected below 1"
             )
-    return found
+    return shares
 
 
 def _half(key: str, value: Any) -> float | None:
-    """Half of the 95 % interval that an entry of an identified parameter speaks of; None for other entries."""
+    """Half of the 95 % interval in an entry of an identified parameter; None for other entries."""
     if key.startswith("interval_95") and isinstance(value, Sequence) and len(value) == 2:
         low, high = value
         half = 0.5 * (high - low) if all(isinstance(end, int | float) for end in value) else math.nan
@@ -314,26 +320,26 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
     >>> study["stable_share"], round(study["phase_margin_deg"][0], 1), round(study["phase_margin_deg"][1], 1)
     (1.0, 39.1, 39.2)
     """
-    found, k_v1s, t_vs = [], [], []
+    outcomes, k_v1s, t_vs = [], [], []
     crossover, phase = design.crossover, design.phase_margin_deg
     for shares in corners(errors):
         axis = with_errors(design.axis, shares)
         plant = sample_axis(axis, design.velocity, design.filters)
         loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
-        found.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
+        outcomes.append({"parameters": shares, "bandwidth": loop.bandwidth, **loop.margins.to_dict()})
         mass, damping = axis.mechanics.mass, axis.damping
         low, high = design.structure.feasible_phase_margin(mass, damping, crossover)
         if low < phase < high:
             gain, t_v = design.structure.gains(mass, damping, crossover, phase)
             k_v1s.append(float(gain) / axis.drive.gain)
             t_vs.append(float(t_v))
-    stable = [corner for corner in found if corner["stable"]]
+    stable = [corner for corner in outcomes if corner["stable"]]
 
     def goodness(corner: dict[str, Any]) -> tuple[bool, float]:
-        margin = corner["phase_margin_deg"]  # None, where nothing crosses over, is unbounded
+        margin = corner["phase_margin_deg"]  # None: no crossover, unbounded
         return corner["stable"], math.inf if margin is None else margin
 
-    worst = min(found, key=goodness)
+    worst = min(outcomes, key=goodness)
 
     def interval(key: str) -> list[float] | None:
         values = [corner[key] for corner in stable if corner[key] is not None]
@@ -341,8 +347,8 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
 
     return {
         "errors": dict(errors),
-        "corners": len(found),
-        "stable_share": len(stable) / len(found),
+        "corners": len(outcomes),
+        "stable_share": len(stable) / len(outcomes),
         "worst": worst,
         **{key: interval(key) for key in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "bandwidth")},
         "gains": {"k_v1": [min(k_v1s), max(k_v1s)], "t_v": [min(t_vs), max(t_vs)]} if k_v1s else None,

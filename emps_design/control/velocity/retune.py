@@ -1,4 +1,4 @@
-"""Gains with which the loop as implemented meets the specification, solved for instead of searched.
+"""Gains with which the sampled loop meets the specification, by solving two linear equations.
 
 At one frequency the open loop at the plant input is k_v1 P + (k_v1/t_v) c P, with P the sampled plant including hold,
 delays, current loop and velocity estimator, and c = T z/(z - 1) the integrator. Asking it to be -exp(j phi) at the
@@ -21,7 +21,7 @@ from emps_design.control.velocity.sweeps import sweep_stability
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 
-GRID = 240  # crossovers looked at for one bandwidth, evenly in their logarithm
+GRID = 240  # crossovers tried for one bandwidth, at equal ratios
 
 
 def retuned_gains(
@@ -157,7 +157,7 @@ def bandwidth_gains(
     B, phase = np.broadcast_arrays(np.asarray(bandwidth, float), np.asarray(phase_margin_deg, float))
 
     def over(w: np.ndarray, B: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """By how much the closed loop with crossover ``w`` is above -3 dB at ``B``."""
+        """Gain of the closed loop with crossover ``w`` at ``B``, less that at -3 dB."""
         loops = SampledVelocityLoop(plant, *retuned_gains(plant, w, phase, at), structure)
         with np.errstate(invalid="ignore"):
             return np.abs(loops.closed_loop_response(B)) - MINUS_3_DB
@@ -168,8 +168,8 @@ def bandwidth_gains(
     inside = np.flatnonzero((lowest < highest) & (nyquist > B))
     shares = np.linspace(0.0, 1.0, GRID)
     grid = lowest[inside, None] * (highest[inside] / lowest[inside])[:, None] ** shares
-    found = over(grid, B[inside, None], phase[inside, None])
-    rising = (found[:, :-1] < 0.0) & (found[:, 1:] >= 0.0)
+    excess = over(grid, B[inside, None], phase[inside, None])
+    rising = (excess[:, :-1] < 0.0) & (excess[:, 1:] >= 0.0)
     for turn in range(1, 4):  # the first crossing whose loop is stable
         here = rising & (np.cumsum(rising, axis=1) == turn)
         rows, places = np.nonzero(here)
@@ -190,7 +190,7 @@ def bandwidth_gains(
 
 
 def _limit(plant: SampledPlant, requested: dict[str, float], at: str, structure: Structure) -> str:
-    """Which limit binds, from the plant's phase at the crossover."""
+    """Return which limit binds, from the plant's phase at the crossover."""
     if not 0.0 < requested["phase_margin_deg"] < 180.0:
         return "a phase margin lies between 0 and 180 deg"
     place = structure.place(at)
@@ -222,17 +222,17 @@ def _limit(plant: SampledPlant, requested: dict[str, float], at: str, structure:
 
 
 def _largest_bandwidth(plant: SampledPlant, phase_margin_deg: float, at: str, structure: Structure) -> float:
-    """The largest -3 dB bandwidth [rad/s] of a stable sampled loop with that phase margin, 0 where there is none."""
+    """The largest -3 dB bandwidth [rad/s] of a stable sampled loop with that phase margin, 0 if there is none."""
 
     def works(bandwidth: np.ndarray) -> np.ndarray:
         phase = np.full(bandwidth.size, phase_margin_deg)
         return np.isfinite(bandwidth_gains(plant, bandwidth, phase, at, structure)[0])
 
     grid = np.geomspace(1e-5, 0.99, 400) * math.pi / plant.period
-    found = np.flatnonzero(works(grid))
-    if not found.size:
+    feasible = np.flatnonzero(works(grid))
+    if not feasible.size:
         return 0.0
-    low, high = grid[found[-1]], grid[min(found[-1] + 1, grid.size - 1)]
+    low, high = grid[feasible[-1]], grid[min(feasible[-1] + 1, grid.size - 1)]
     for _ in range(30):
         middle = np.sqrt(low * high)
         low, high = (middle, high) if works(np.array([middle]))[0] else (low, middle)

@@ -1,21 +1,16 @@
-"""The velocity loop as implemented: sampled, and continuous with every lag; what it answers to a step.
+"""The velocity loop as implemented, sampled and continuous with every lag, and its response to a step.
 
-The velocity loop as implemented: hold, delays, current loop, effects and velocity estimator.
+:class:`SampledVelocityLoop` has hold, delays, current loop, effects and velocity estimator. Stability is judged by the
+closed-loop poles first; an unstable loop has no margins.
 
-Stability is read from the closed-loop poles first; an unstable loop has no margins.
+:func:`step_answer` is the response of a closed loop to a held step, however slow the loop. A held input is a constant
+state, so many samples together are one exact matrix product. The first samples are all returned, then blocks of
+consecutive ones with gaps that grow with time.
 
-What a closed loop answers to a step that is held on one of its inputs, however long that takes.
-
-A held input is a state that stays, so many samples together are one matrix product, exact. The first samples are all
-told; from there on blocks of consecutive ones, with gaps between them that grow with the time that has passed, so that
-a loop a million samples slow is told like any other.
-
-The continuous velocity loop with every lag: current loop, computation delay, filters, effects, velocity filter.
-
-The closed forms (6) to (9) take one rigid mass behind an ideal drive. Here the same gains act on the whole linear
-plant, still in continuous time: of the loop as implemented only the hold and the differences that estimate the
-velocity are missing, not a filter behind them. A delay is exact in every response; where the poles say whether the loop
-is stable it is its approximant of Pade, order 8.
+:class:`LaggedVelocityLoop` is the continuous loop with current loop, computation delay, filters, effects and velocity
+filter. The closed forms (6) to (9) take one rigid mass behind an ideal drive; here the same gains act on the whole
+linear plant. Compared with the sampled loop only the hold and the differences of the velocity estimate are missing, not
+a filter behind them. A delay is exact in every response; for the poles it is its Pade approximant of order 8.
 """
 
 from __future__ import annotations
@@ -45,74 +40,77 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
 
 BLOCK = 64  # consecutive samples, and at least a cycle
-EVERY = 20_000  # samples from the start on that are all told
-BLOCKS = 128  # so many of them at least, where a cycle makes them long
+EVERY = 20_000  # first samples, all of which are returned
+BLOCKS = 128  # least number of blocks, for long cycles
 
 PADE = 8
 MARGINAL = 1e-9  # share of the largest pole by which one may lie right of the imaginary axis: rounding
-TURN = 0.2  # rad, by which a delay may turn the response between two frequencies that are looked at
+TURN = 0.2  # rad, largest phase of a delay between two frequencies of the grid
 System = tuple[np.ndarray, np.ndarray, np.ndarray, float]  # A (n, n), b (n,), c (n,), d
 
 
 def step_answer(loop: SampledLoop, by: str, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Samples k (m,), outputs (m, 4) at them and position [m] at their ends after a unit step of ``by`` from rest.
+    """Return the response to a unit step of the input ``by`` from rest: samples k (m,), outputs (m, 4), position (m,).
 
-    ``samples`` is how far that goes: up to :data:`EVERY` all of them are told. ``loop`` is a single one.
+    The position [m] is that at the end of each sample. Up to :data:`EVERY` all ``samples`` are returned, of more the
+    later ones have gaps. ``loop`` is a single loop.
 
     >>> A, B, C = np.array([[0.5]]), np.array([[1.0]]), np.ones((4, 1))
-    >>> k, found, _ = step_answer(SampledLoop(A, B, C, np.zeros((4, 1)), 1e-3, ("reference",)), "reference", 4)
-    >>> k.tolist(), found[:, 0].tolist()
+    >>> k, outputs, _ = step_answer(SampledLoop(A, B, C, np.zeros((4, 1)), 1e-3, ("reference",)), "reference", 4)
+    >>> k.tolist(), outputs[:, 0].tolist()
     ([0, 1, 2, 3], [0.0, 1.0, 1.5, 1.75])
     """
-    moves, told = _with_the_step(loop, loop.inputs.index(by))
+    moves, readout = _with_the_step(loop, loop.inputs.index(by))
     length = loop.cycle * -(-BLOCK // loop.cycle)
-    block, rows = np.eye(moves.shape[-1]), np.empty((length, *told.shape[1:]))
+    block, rows = np.eye(moves.shape[-1]), np.empty((length, *readout.shape[1:]))
     for j in range(length):
-        rows[j] = told[j % loop.cycle] @ block
+        rows[j] = readout[j % loop.cycle] @ block
         block = moves[j % loop.cycle] @ block
     starts, states = _blocks(block, -(-samples // length), max(-(-EVERY // length), BLOCKS))
     k = (length * starts[:, None] + np.arange(length)).ravel()
-    found = np.tensordot(states, rows, axes=(1, 2)).reshape(k.size, -1)
+    outputs = np.tensordot(states, rows, axes=(1, 2)).reshape(k.size, -1)
     within = k < samples
-    return k[within], found[within, :-1], found[within, -1]
+    return k[within], outputs[within, :-1], outputs[within, -1]
 
 
 def _with_the_step(loop: SampledLoop, place: int) -> tuple[np.ndarray, np.ndarray]:
-    """By sample of a cycle: how the state moves, of which the last two are the position and the step; what is told."""
+    """Return by sample of a cycle the state matrix, extended by position and step, and the rows of the outputs."""
     A, b, C, d = loop.A, loop.B[..., place], loop.C, loop.D[..., place]
     if loop.cycle == 1:
         A, b, C, d = A[None], b[None], C[None], d[None]
     size, mean = A.shape[-1], OUTPUTS.index("mean_velocity")
-    told = np.zeros((loop.cycle, len(OUTPUTS) + 1, size + 2))
-    told[:, :-1, :size], told[:, :-1, -1] = C, d
-    told[:, -1] = loop.period * told[:, mean]
-    told[:, -1, size] = 1.0
+    readout = np.zeros((loop.cycle, len(OUTPUTS) + 1, size + 2))
+    readout[:, :-1, :size], readout[:, :-1, -1] = C, d
+    readout[:, -1] = loop.period * readout[:, mean]
+    readout[:, -1, size] = 1.0
     moves = np.zeros((loop.cycle, size + 2, size + 2))
     moves[:, :size, :size], moves[:, :size, -1], moves[:, -1, -1] = A, b, 1.0
-    moves[:, size] = told[:, -1]
-    return moves, told
+    moves[:, size] = readout[:, -1]
+    return moves, readout
 
 
 def _blocks(block: np.ndarray, count: int, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which of ``count`` blocks are told, (m,), ``every`` so many first ones and then half as many for each doubling of
-    the time; and the states at their beginnings (m, n)."""
-    state, gap, at, left = np.eye(len(block))[-1], 1, 0, every
+    """Return which of ``count`` blocks are computed (m,), and the states at their beginnings (m, n).
+
+    They are the first ``every`` blocks, then half as many for each doubling of the time.
+    """
+    state, gap, at, remaining = np.eye(len(block))[-1], 1, 0, every
     starts, states = [], []
     while at < count:
         starts.append(at)
         states.append(state)
-        state, at, left = block @ state, at + gap, left - 1
-        if not left:
-            block, gap, left = block @ block, 2 * gap, every // 2
+        state, at, remaining = block @ state, at + gap, remaining - 1
+        if not remaining:
+            block, gap, remaining = block @ block, 2 * gap, every // 2
     return np.array(starts), np.array(states)
 
 
 @dataclass(frozen=True)
 class SampledVelocityLoop:
-    """Given gains in the loop as implemented: poles first, then margins at both places, then what they cost.
+    """The sampled velocity loop with given gains: poles, margins at both places, bandwidth, step response.
 
-    ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them give as many responses, and nothing else. The filters are those of
-    ``plant``.
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them give as many frequency responses, and nothing else. The filters are
+    those of ``plant``.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -226,7 +224,7 @@ class SampledVelocityLoop:
         return tuple(warnings)
 
     def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, dry friction left out.
+        """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, without dry friction.
 
         Of more than :data:`~emps_design.control.velocity.sampled.EVERY` samples the later ones have gaps.
 
@@ -237,8 +235,8 @@ class SampledVelocityLoop:
         1.0
         """
         computed = replace(self, structure=self.structure.as_computed) if self.structure.reference_filter else self
-        k, found, _ = step_answer(computed.loop, "reference", samples)
-        return k * self.plant.period, found[:, 0], found[:, 3]
+        k, outputs, _ = step_answer(computed.loop, "reference", samples)
+        return k * self.plant.period, outputs[:, 0], outputs[:, 3]
 
     def transfer_function(self) -> control.TransferFunction:
         """The open loop at the plant input as a discrete ``control.TransferFunction`` in z."""
@@ -251,7 +249,7 @@ class SampledVelocityLoop:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: margins at the plant input, those at the velocity error beside them, and the poles."""
+        """Plain data: margins at the plant input and at the velocity error, bandwidth, and poles."""
         return {
             **self.margins.to_dict(),
             "bandwidth": self.bandwidth,
@@ -327,7 +325,7 @@ class LaggedVelocityLoop:
 
     @property
     def _velocity(self) -> System:
-        """From the command to the velocity of the encoder's reading; where the carriage is left out, if it may be."""
+        """From the command to the velocity of the encoder's reading, without the position if nothing depends on it."""
         A, B, C = self.plant.A, self.plant.B, self.plant.C
         row, through = C @ A, float(C @ B)
         keep = np.arange(B.size)[POSITION + 1 :] if not np.any(A[:, POSITION]) else np.arange(B.size)
@@ -340,12 +338,12 @@ class LaggedVelocityLoop:
         return [*map(_polynomials, self.filters), *([own] if len(own[1]) > 1 else [])]
 
     def plant_response(self, w: np.ndarray) -> np.ndarray:
-        """From the command before the filters to the velocity as estimated [(m/s)/V] at ``w`` [rad/s]."""
+        """From the command before the filters to the estimated velocity [(m/s)/V] at ``w`` [rad/s]."""
         s = 1j * np.asarray(w, dtype=float)
-        found = transfer(*self._velocity, s) * np.exp(-self.delay * s)
+        response = transfer(*self._velocity, s) * np.exp(-self.delay * s)
         for numerator, denominator in self._filters:
-            found = found * np.polyval(numerator, s) / np.polyval(denominator, s)
-        return found
+            response = response * np.polyval(numerator, s) / np.polyval(denominator, s)
+        return response
 
     def plant_input_response(self, w: np.ndarray) -> np.ndarray:
         """Open loop broken at the plant input at ``w`` [rad/s]."""
@@ -360,18 +358,18 @@ class LaggedVelocityLoop:
 
     @cached_property
     def poles(self) -> np.ndarray:
-        """Poles of the closed loop [rad/s], those of a delay approximated."""
+        """Poles of the closed loop [rad/s], with the Pade approximant of the delay."""
         law: System = (np.zeros((1, 1)), np.ones(1), np.array([self.k_v1 / self.t_v]), self.k_v1)
         chain = self._velocity
-        filters = [_companion(*one) for one in self._filters]
-        for one in (*([_pade(self.delay)] if self.delay > 0.0 else []), *filters, law):
-            chain = _series(one, chain)
+        filters = [_companion(*fraction) for fraction in self._filters]
+        for system in (*([_pade(self.delay)] if self.delay > 0.0 else []), *filters, law):
+            chain = _series(system, chain)
         A, b, c, d = chain
         return np.linalg.eigvals(A - np.outer(b, c) / (1.0 + d))
 
     @property
     def stable(self) -> bool:
-        """Whether no pole lies right of the imaginary axis."""
+        """Whether no pole lies to the right of the imaginary axis."""
         poles = self.poles
         return bool(poles.real.max() <= MARGINAL * np.abs(poles).max())
 
@@ -387,7 +385,7 @@ class LaggedVelocityLoop:
 
     @property
     def _frequencies(self) -> np.ndarray:
-        """A grid [rad/s] from far below every motion of the loop to far above, finest where the plant is narrow."""
+        """A frequency grid [rad/s] from far below all poles of the loop to far above, fine at narrow peaks."""
         A = self._velocity[0]
         sizes = np.abs(self.poles)
         low, high = 1e-3 * sizes[sizes > MARGINAL * sizes.max()].min(), 1e3 * sizes.max()
@@ -400,37 +398,37 @@ class LaggedVelocityLoop:
 
 
 def left_out(axis: Axis, filters: tuple[Filter, ...] = ()) -> tuple[str, ...]:
-    """Name what ``axis`` and the ``filters`` have that the closed forms of mass and viscous friction leave out.
+    """Return what of ``axis`` and ``filters`` the closed forms of mass and viscous friction leave out.
 
     >>> from emps_design.machines import machine
     >>> left_out(machine("emps2018")), left_out(machine("emps2019"))
     (('the current loop (0.5 ms)',), ())
     """
-    found = []
+    names = []
     if axis.drive.current_time_constant:
-        found.append(f"the current loop ({1e3 * axis.drive.current_time_constant:.3g} ms)")
+        names.append(f"the current loop ({1e3 * axis.drive.current_time_constant:.3g} ms)")
     if axis.sampling.computation_delay:
         late = 1e3 * axis.sampling.computation_delay * axis.sampling.period
-        found.append(f"the computation delay ({late:.3g} ms)")
+        names.append(f"the computation delay ({late:.3g} ms)")
     if filters:
-        found.append("the filters of the command")
+        names.append("the filters of the command")
     if len(continuous(axis.controller.velocity_estimator)[1]) > 1:
-        found.append(f"the velocity estimate ({estimator_in_words(axis.controller.velocity_estimator)})")
+        names.append(f"the velocity estimate ({estimator_in_words(axis.controller.velocity_estimator)})")
     if axis.effects:
-        found.append("the effects of the axis")
-    return tuple(found)
+        names.append("the effects of the axis")
+    return tuple(names)
 
 
-def _polynomials(one: Filter) -> tuple[list[float], list[float]]:
+def _polynomials(section: Filter) -> tuple[list[float], list[float]]:
     """Numerator and denominator in s, highest power first, of a filter."""
-    w = 2.0 * math.pi * one.frequency
-    if one.damping is None or one.depth is None:
+    w = 2.0 * math.pi * section.frequency
+    if section.damping is None or section.depth is None:
         return [w], [1.0, w]
-    return [1.0, 2.0 * one.depth * one.damping * w, w * w], [1.0, 2.0 * one.damping * w, w * w]
+    return [1.0, 2.0 * section.depth * section.damping * w, w * w], [1.0, 2.0 * section.damping * w, w * w]
 
 
 def _pade(delay: float) -> System:
-    """The approximant of Pade of a ``delay`` [s]."""
+    """The Pade approximant of a ``delay`` [s]."""
     powers = [1.0]
     for k in range(PADE):
         powers.append(powers[-1] * (PADE - k) / ((2 * PADE - k) * (k + 1)))
@@ -440,7 +438,7 @@ def _pade(delay: float) -> System:
 
 
 def _companion(numerator: list[float], denominator: list[float]) -> System:
-    """A state space of a proper fraction, highest power first."""
+    """State-space form of a proper rational function, highest power first."""
     a = np.array(denominator) / denominator[0]
     n = a.size - 1
     b = np.concatenate([np.zeros(n + 1 - len(numerator)), np.array(numerator) / denominator[0]])

@@ -1,12 +1,10 @@
-"""What may be asked of the velocity loop, the nearest that works, and what the closed forms assume of an axis.
+"""Specifications of the velocity loop, the nearest feasible one, and the limits of the closed forms.
 
-What may be asked of the velocity loop, and the nearest that works where it cannot be had.
+A pair of a frequency and a phase margin *works* if there are gains for it and the sampled loop with them is stable, has
+a delay margin of at least ``ROOM`` samples, and has not fallen to -3 dB at ``PASSED`` of the frequency. A pair at the
+edge of stability, or with hardly any integral action, would be nearer but useless.
 
-A pair of a frequency and a phase margin *works* where there are gains for it, the sampled loop with them is stable,
-bears at least ``ROOM`` more samples of delay, and passes ``PASSED`` of the frequency that such a pair stands for. The
-pair next to the edge of stability, or with next to no integral action, would be nearer and of no use.
-
-What the closed forms assume of an axis, held against what its effects make of it.
+The ``..._in_words`` functions say what the closed forms leave out of an axis, and what its effects change.
 """
 
 from __future__ import annotations
@@ -32,22 +30,22 @@ from emps_design.laws.library.cascade import Filter
 from emps_design.quantities import check_magnitude
 
 ROOM = 1.0  # samples of delay margin
-PASSED = 0.5  # share of the frequency, at which the sampled closed loop has not yet fallen to -3 dB
+PASSED = 0.5  # share of the frequency at which the sampled closed loop must be above -3 dB
 
 NO_FILTERS = "the closed forms know no filters: what they cost is in the sampled loop"
 
 
 def check_specification(crossover: float | None, bandwidth: float | None, phase_margin_deg: float) -> dict[str, float]:
-    """Return the specification as a dict of what was given, or raise :class:`InputError`.
+    """Return the specification as a dict, or raise :class:`InputError`.
 
-    Exactly one of ``crossover`` and ``bandwidth`` [rad/s], positive; ``phase_margin_deg`` [deg] a number.
+    Exactly one of ``crossover`` and ``bandwidth`` [rad/s] is a positive number; ``phase_margin_deg`` is finite.
 
     >>> check_specification(100.0, None, 60.0)
     {'crossover': 100.0, 'phase_margin_deg': 60.0}
     """
     if (crossover is None) == (bandwidth is None):
-        found = "neither" if crossover is None else "both"
-        raise InputError(f"specification: found {found} of crossover and bandwidth, expected exactly one [rad/s]")
+        present = "neither" if crossover is None else "both"
+        raise InputError(f"specification: found {present} of crossover and bandwidth, expected exactly one [rad/s]")
     name, value = ("crossover", crossover) if crossover is not None else ("bandwidth", float(bandwidth or 0.0))
     if not math.isfinite(value) or value <= 0.0:
         raise InputError(f"{name}: found {value:g} rad/s, expected a positive number of rad/s")
@@ -59,12 +57,12 @@ def check_specification(crossover: float | None, bandwidth: float | None, phase_
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of a frequency and a phase margin, and the sampled loops that they mean.
+    """Pairs of a frequency and a phase margin, and the sampled loops with their gains.
 
     ``gains(frequencies, phase_margins_deg)`` gives k_v1 [V/(m/s)] and t_v [s], NaN where there are none; arrays (n,).
-    ``passes(frequencies, phase_margins_deg)`` [rad/s] is what a closed loop with such a pair passes by rights. With
-    ``at`` the phase margin is that of the sampled loop broken there, and it has to be met; "" where (7) is asked.
-    ``bandwidth``: the frequency is the -3 dB of the sampled closed loop, and it has to be met.
+    ``passes(frequencies, phase_margins_deg)`` [rad/s] is the nominal bandwidth of such a pair. With ``at`` the phase
+    margin is that of the sampled loop broken there and must be met; "" for the gains of (7). ``bandwidth``: the
+    frequency is the -3 dB frequency of the sampled closed loop and must be met.
     """
 
     plant: SampledPlant
@@ -75,13 +73,13 @@ class Pairs:
     structure: Structure = IP
 
     def loop(self, frequency: float, phase: float) -> SampledVelocityLoop | None:
-        """The sampled loop of one pair; None where there are no gains for it or the loop with them is unstable."""
+        """The sampled loop of one pair; None if it has no gains or is unstable."""
         k_v1, t_v = (float(gain[0]) for gain in self.gains(np.array([frequency]), np.array([phase])))
         loop = SampledVelocityLoop(self.plant, k_v1, t_v, self.structure) if math.isfinite(k_v1) else None
         return loop if loop is not None and loop.stable else None
 
     def met(self, loop: SampledVelocityLoop, frequency: float, phase: float) -> bool:
-        """Whether the margins of ``loop`` are what was asked of the sampled loop, if that was asked."""
+        """Whether the sampled ``loop`` meets the pair, as far as ``at`` and ``bandwidth`` require it."""
         if self.bandwidth and abs((loop.bandwidth or 0.0) / frequency - 1.0) > 1e-6:
             return False
         if not self.at:
@@ -90,15 +88,15 @@ class Pairs:
         return margins.phase_margin_deg is not None and abs(margins.phase_margin_deg - phase) < 1e-6
 
     def judge(self, frequency: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """How good each pair is (n,): 0 for none or unstable, 1 for stable, 2 where it works. Many at once, quickly."""
+        """Rate each pair (n,): 0 without gains or unstable, 1 stable, 2 works."""
         k_v1, t_v = self.gains(frequency, phase)
-        found = sweep_sampled_margins(
+        margins = sweep_sampled_margins(
             self.plant, k_v1, t_v, frequencies=200, at=self.at or "plant-input", exact_delay=False
         )
-        good = found["stable"].copy()
+        good = margins["stable"].copy()
         if self.at:
-            good &= np.abs(found["phase_margin_deg"] - phase) < 1e-6  # NaN compares False
-        room = ~(found["delay_margin"] < ROOM * self.plant.period)  # NaN: unbounded
+            good &= np.abs(margins["phase_margin_deg"] - phase) < 1e-6  # NaN compares False
+        room = ~(margins["delay_margin"] < ROOM * self.plant.period)  # NaN: unbounded
         return good.astype(int) + (good & room & self._passes(k_v1, t_v, self.passes(frequency, phase)))
 
     def _passes(self, k_v1: np.ndarray, t_v: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -116,9 +114,9 @@ def pairs_by_closed_form(
     structure: Structure = IP,
     filters: tuple[Filter, ...] = (),
 ) -> Pairs:
-    """Return the pairs like ``requested`` with the gains of (7) on ``axis``, its effects linearised at ``velocity``.
+    """Return the pairs of the kind ``requested`` with the gains of (7), the effects linearised at ``velocity`` [m/s].
 
-    Of another ``structure`` its own closed form; ``filters`` are in the sampled loops.
+    Another ``structure`` has its own closed form; ``filters`` are in the sampled loops.
 
     >>> from emps_design.machines import machine
     >>> pairs = pairs_by_closed_form(machine("emps2018"), {"crossover": 100.0, "phase_margin_deg": 60.0})
@@ -130,9 +128,9 @@ def pairs_by_closed_form(
         inside = (phase > 0.0) & (phase < structure.largest_phase_margin)
         phase = np.where(inside, phase, 45.0)
         if "bandwidth" in requested:
-            found = structure.crossover_of_bandwidth(axis.mechanics.mass, axis.damping, frequency, phase)
-            inside &= np.isfinite(found)
-            frequency = np.where(np.isfinite(found), found, frequency)
+            crossover = structure.crossover_of_bandwidth(axis.mechanics.mass, axis.damping, frequency, phase)
+            inside &= np.isfinite(crossover)
+            frequency = np.where(np.isfinite(crossover), crossover, frequency)
         sweep = sweep_velocity_loop(axis, frequency, phase, structure)
         return np.where(inside, sweep.k_v1, np.nan), np.where(inside, sweep.t_v, np.nan)
 
@@ -141,39 +139,41 @@ def pairs_by_closed_form(
 
 
 def nearest_that_works(pairs: Pairs, requested: dict[str, float]) -> dict[str, Any]:
-    """Return the pair of ``pairs`` next to ``requested`` that works, {} where none was found.
+    """Return the pair of ``pairs`` nearest to ``requested`` that works, {} if there is none.
 
-    Looks along both lines through the request: the same frequency with another phase margin, and the same phase margin
-    with another frequency; where both have one, the other is under "or". Where neither has, both may change. Where
-    nothing works, the nearest that is merely stable is returned.
+    The search varies the phase margin at the same frequency, and the frequency at the same phase margin; if both give a
+    pair, the second is under "or". If neither does, both may change. If nothing works, the nearest pair that is merely
+    stable is returned.
 
     >>> from emps_design.machines import machine
-    >>> asked = {"crossover": 100.0, "phase_margin_deg": 88.0}
-    >>> nearest_that_works(pairs_by_closed_form(machine("emps2018"), asked), asked)
+    >>> requested = {"crossover": 100.0, "phase_margin_deg": 88.0}
+    >>> nearest_that_works(pairs_by_closed_form(machine("emps2018"), requested), requested)
     {'crossover': 100.0, 'phase_margin_deg': 77.5, 'or': {'crossover': 19.56, 'phase_margin_deg': 88.0}}
     """
     name = "crossover" if "crossover" in requested else "bandwidth"
-    asked, phase = requested[name], requested["phase_margin_deg"]
-    lines = [(np.full(PHASES.size, asked), PHASES)]
+    requested_frequency, phase = requested[name], requested["phase_margin_deg"]
+    lines = [(np.full(PHASES.size, requested_frequency), PHASES)]
     if 0.0 < phase < 180.0:
-        frequencies = np.unique([_round(asked * 1.01**step) for step in FINE])
+        frequencies = np.unique([_round(requested_frequency * 1.01**step) for step in FINE])
         lines.append((frequencies, np.full(frequencies.size, phase)))
-    coarse = np.unique([_round(asked * 1.1**step) for step in COARSE])
+    coarse = np.unique([_round(requested_frequency * 1.1**step) for step in COARSE])
     X, Y = np.meshgrid(coarse, PHASES[PHASES % 5.0 == 0.0])
     places = [*lines, (X.ravel(), Y.ravel())]  # and the plane
-    judge = lru_cache(lambda place: pairs.judge(*places[place]))  # the plane only where neither line has one
+    judge = lru_cache(lambda place: pairs.judge(*places[place]))  # the plane only if neither line has a pair
     on_lines, anywhere = range(len(lines)), [len(lines)]
     for level, chosen in ((2, on_lines), (2, anywhere), (1, on_lines), (1, anywhere)):
-        nearest = [_nearest(pairs, asked, phase, *places[place], judge(place) >= level) for place in chosen]
-        found = sorted((one for one in nearest if one is not None), key=lambda one: one[0])
-        if found:
-            first, *others = [{name: w, "phase_margin_deg": angle} for _, w, angle in found]
+        nearest = [
+            _nearest(pairs, requested_frequency, phase, *places[place], judge(place) >= level) for place in chosen
+        ]
+        solutions = sorted((solution for solution in nearest if solution is not None), key=lambda solution: solution[0])
+        if solutions:
+            first, *others = [{name: w, "phase_margin_deg": angle} for _, w, angle in solutions]
             return {**first, **({"or": others[0]} if others else {})}
     return {}
 
 
-# Phase margins to propose [deg], finer towards 90, where a stiff friction leaves little room below; and steps of the
-# frequency: of 1 % near by and of 10 % far away. (np.unique would import numpy.ma, for this alone.)
+# Phase margins to propose [deg], finer towards 90, since large friction leaves little room below; and exponents of the
+# frequency steps: of 1 % close to the request and of 10 % further away. (np.unique would import numpy.ma.)
 _BELOW_90 = (90.0 - n * 10.0**-m for n in range(1, 10) for m in range(1, 6))
 PHASES = np.array(sorted({round(phase, 6) for phase in (*(0.5 * np.arange(1, 360)).tolist(), *_BELOW_90)}))
 FINE = np.array(sorted({*range(-250, 250), *range(-1500, 500, 10)}))
@@ -181,10 +181,10 @@ COARSE = np.arange(-120, 41)
 
 
 def _nearest(
-    pairs: Pairs, asked: float, phase: float, frequencies: np.ndarray, phases: np.ndarray, good: np.ndarray
+    pairs: Pairs, requested: float, phase: float, frequencies: np.ndarray, phases: np.ndarray, good: np.ndarray
 ) -> tuple[float, float, float] | None:
     """Distance, frequency and phase margin of the nearest pair that is ``good`` (n,)."""
-    distance = np.abs(np.log(frequencies / asked)) + np.abs(phases - phase) / 45.0
+    distance = np.abs(np.log(frequencies / requested)) + np.abs(phases - phase) / 45.0
     candidates = np.flatnonzero(good)
     for place in candidates[np.argsort(distance[candidates], kind="stable")][:20]:
         w, angle = float(frequencies[place]), float(phases[place])
@@ -195,7 +195,7 @@ def _nearest(
 
 
 def proposal_in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> str:
-    """The nearest pair in words, for one-line messages; ``pairs`` tells what it has as implemented.
+    """Return the nearest pair as a clause for messages; with ``pairs`` its margins in the sampled loop are added.
 
     >>> proposal_in_words({"crossover": 100.0, "phase_margin_deg": 79.5})
     'nearest that works: 79.5 deg at a crossover of 100 rad/s'
@@ -218,7 +218,7 @@ def proposal_in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> st
 
 
 def _achieved(loop: SampledVelocityLoop) -> Iterator[str]:
-    """What a proposal has as implemented."""
+    """Margins and bandwidth of a proposal in the sampled loop, as short texts."""
     margins = loop.margins
     if margins.phase_margin_deg is not None:
         yield f"{margins.phase_margin_deg:.3g} deg"
@@ -229,14 +229,14 @@ def _achieved(loop: SampledVelocityLoop) -> Iterator[str]:
 
 
 def _round(value: float) -> float:
-    """Four significant digits, to be read; steps of 1 % leave room for that."""
+    """Round to four significant digits, less than a step of 1 %."""
     return float(f"{value:.4g}")
 
 
 def infeasible(
     axis: Axis, requested: dict[str, float], velocity: float, structure: Structure, filters: tuple[Filter, ...]
 ) -> SpecificationError:
-    """The error for a pair outside the feasible range: which limit binds, and the nearest pair that works."""
+    """Return the error for a pair outside the feasible range: the binding limit and the nearest pair that works."""
     name, phase = next(iter(requested)), requested["phase_margin_deg"]
     pairs = pairs_by_closed_form(axis, requested, velocity, structure, filters)
     nearest = nearest_that_works(pairs, requested)
@@ -249,7 +249,7 @@ def infeasible(
 
 
 def room_in_words(loop: SampledVelocityLoop) -> list[str]:
-    """Say where a stable sampled ``loop`` bears less than ``ROOM`` samples of delay.
+    """Return a warning if a stable sampled ``loop`` has a delay margin below ``ROOM`` samples.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2018"))
@@ -266,7 +266,7 @@ def room_in_words(loop: SampledVelocityLoop) -> list[str]:
 
 
 def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[str]:
-    """Say what structure and filters of ``loop`` mean for the numbers of a design and for the drive."""
+    """Return notes on what the structure and filters of ``loop`` mean for the design's numbers and for the drive."""
     notes = []
     if loop.plant.filters and by_closed_form:
         notes.append(f"{NO_FILTERS}; `retune` meets the request there")
@@ -279,7 +279,7 @@ def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[str]:
 
 
 def ideal_loop_in_words(left_out: Sequence[str], with_lags: Margins) -> str:
-    """Say what the closed forms leave out, and what the continuous loop has at the velocity error ``with_lags``.
+    """Return a note on what the closed forms leave out, with the margins of the continuous loop ``with_lags``.
 
     >>> ideal_loop_in_words((), Margins(stable=True))
     "the continuous loop's gain margin is unbounded: its phase never reaches -180 deg"
@@ -292,9 +292,9 @@ def ideal_loop_in_words(left_out: Sequence[str], with_lags: Margins) -> str:
 
 
 def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
-    """Say what the effects of ``axis`` change: (7) knows mass and viscous friction, the sampled ``loop`` all of them.
+    """Return notes on what the effects of ``axis`` change: (7) has mass and viscous friction, ``loop`` all effects.
 
-    ``loop`` is linearised at ``velocity`` [m/s]; the other direction is looked at as well.
+    ``loop`` is linearised at ``velocity`` [m/s]; the other direction is checked too.
 
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2018-two-quadrant")
@@ -318,9 +318,9 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
 
 
 def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_form: str = "(7)") -> list[str]:
-    """Say what ``closed_form`` does not know of ``linear``: another mass and friction slope, resonances.
+    """Return notes on what ``closed_form`` leaves out of ``linear``: mass and friction slope that differ, resonances.
 
-    Mass and slope are those of all that moves, slowly; of two masses the one that the motor drives first is named too.
+    Mass and slope are those of the whole slow motion; of two masses the one before the coupling is named too.
 
     >>> from emps_design.control.linear_plant import linear_plant
     >>> from emps_design.machines import machine
@@ -347,7 +347,7 @@ def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_f
 
 
 def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> list[str]:
-    """Say what a closed form of mass and viscous friction leaves out of ``plant``: effects and filters.
+    """Return notes on what a closed form of mass and viscous friction leaves out of ``plant``: effects and filters.
 
     >>> from emps_design.machines import machine
     >>> late = machine("emps2018").replace(effects=[{"kind": "actuator_delay", "delay": 1e-3}])
@@ -357,23 +357,23 @@ def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> li
     notes = [NO_FILTERS] if plant.filters else []
     if not axis.effects:
         return notes
-    said = carriage_in_words(axis, plant.linear, velocity, "the closed form")
-    return notes + (said or ["the closed form knows no effects of the axis, the sampled loop takes all"])
+    notes_on_carriage = carriage_in_words(axis, plant.linear, velocity, "the closed form")
+    return notes + (notes_on_carriage or ["the closed form knows no effects of the axis, the sampled loop takes all"])
 
 
 def _where_it_is_steepest(loop: SampledVelocityLoop) -> list[str]:
-    """Say whether slow motion is less stable: there the loop sees the slope that averages out in faster motion."""
+    """Return notes if slow motion is less stable: there the slope of force over position does not average out."""
     steepest = loop.plant.linear.steepest
     if steepest == 0.0:
         return []
-    here, found = loop.margins.phase_margin_deg, []
+    here, notes = loop.margins.phase_margin_deg, []
     for stiffness in (steepest, -steepest):
         linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
         slow = replace(loop, plant=loop.plant.sampling(linear))
         where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"
         there = slow.margins.phase_margin_deg
         if not slow.stable:
-            found.append(f"{where} the sampled loop is unstable")
+            notes.append(f"{where} the sampled loop is unstable")
         elif here is not None and there is not None and there < here - 0.5:
-            found.append(f"{where} the sampled loop has {there:.3g} deg of phase margin only")
-    return found
+            notes.append(f"{where} the sampled loop has {there:.3g} deg of phase margin only")
+    return notes

@@ -1,4 +1,4 @@
-"""Thousands of velocity-loop designs at once: arrays of specifications in, arrays of gains and margins out."""
+"""Many velocity-loop designs at once: gains and margins as arrays for arrays of specifications."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_t
 from emps_design.errors import InputError
 from emps_design.laws.linear import linear_law
 
-SURE = 1e3  # times its rounding error that a step of a test has to be from the border
+SURE = 1e3  # least distance of a step of the stability test from its limit, in rounding errors
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class VelocityLoopSweep:
 
     ``k_v1`` [V/(m/s)], ``t_v`` [s], ``K_v`` [N/m], ``omega_0v`` [rad/s], ``z_v``, ``bandwidth`` [rad/s] of T_vc;
     ``plant_input_phase_margin_deg`` [deg], ``plant_input_crossover`` [rad/s] and ``delay_margin`` [s] of the continuous
-    loop broken at the plant input; ``feasible`` tells where there are gains.
+    loop broken at the plant input; ``feasible`` is True where there are gains.
     """
 
     crossover: np.ndarray
@@ -50,7 +50,7 @@ class VelocityLoopSweep:
 def sweep_velocity_loop(
     axis: Axis, crossover: np.ndarray | float, phase_margin_deg: np.ndarray | float, structure: Structure = IP
 ) -> VelocityLoopSweep:
-    """Design (7), or the like for "pi", for pairs of ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
+    """Design by (7), or its counterpart for "pi", for pairs of ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
 
     The two broadcast. A pair that cannot be met gives NaN and ``feasible`` False; :class:`InputError` for crossovers
     that are not positive numbers.
@@ -66,8 +66,8 @@ def sweep_velocity_loop(
     mass, viscous, gain = axis.mechanics.mass, axis.damping, axis.drive.gain
     low, high = structure.feasible_phase_margin(mass, viscous, w)
     feasible = (phase > low) & (phase < high)
-    asked = np.where(feasible, phase, np.nan)
-    K, t_v = structure.gains(mass, viscous, w, asked)
+    feasible_phase = np.where(feasible, phase, np.nan)
+    K, t_v = structure.gains(mass, viscous, w, feasible_phase)
     K_v, (omega_0v, z_v) = K / t_v, second_order_form(mass, viscous, K, t_v)
     # |L| = 1 at the plant input: M^2 x^2 + (F^2 - K^2) x - K_v^2 = 0 with x = w^2
     at_input = np.sqrt(positive_root(mass**2, viscous**2 - K**2, -(K_v**2)))
@@ -79,9 +79,9 @@ def sweep_velocity_loop(
 
 
 def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
-    """Tell for every pair of gains whether the sampled loop is stable, by Schur and Cohn's test of its polynomial.
+    """Return for every pair of gains whether the sampled loop is stable, by the Schur-Cohn test of its polynomial.
 
-    Where rounding may decide that, as in loops that are slow at their clock, its poles do.
+    Where rounding may decide, as in loops much slower than their sampling, the poles are computed.
     ``k_v1`` [V/(m/s)], ``t_v`` [s] (n,); returns (n,) of bool, False where the gains are NaN.
 
     >>> from emps_design.control.discretisation import sample_axis
@@ -93,7 +93,7 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
     integrated = plant.period * np.append(numerator, 0.0)  # T z N, over (z - 1) in the law
     proportional, open_loop = np.polymul(numerator, [1.0, -1.0]), np.polymul(denominator, [1.0, -1.0])
     if plant.kept[0] == POSITION and abs(np.sum(numerator)) < 1e-6 * np.sum(np.abs(numerator)):
-        # A force over position: the voltage moves no velocity at last, and N's root on z = 1 meets the integrator's.
+        # With a force over position the final velocity is zero: the root of N at z = 1 cancels that of the integrator.
         integrated = plant.period * np.append(np.polydiv(numerator, [1.0, -1.0])[0], 0.0)
         proportional, open_loop = numerator, denominator
     k, t = np.asarray(k_v1, dtype=float)[:, None], np.asarray(t_v, dtype=float)[:, None]
@@ -104,7 +104,7 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         a = open_loop + k * both[0] + k / t * both[1]
         stable, doubtful = np.ones(len(a), dtype=bool), np.zeros(len(a), dtype=bool)
-        error = np.full(len(a), np.finfo(float).eps)  # each step divides it by how far it is from the border
+        error = np.full(len(a), np.finfo(float).eps)  # each step divides it by the distance from the limit
         for degree in range(size - 1, 0, -1):
             reflection = a[:, degree : degree + 1] / a[:, :1]
             stable &= np.abs(reflection[:, 0]) < 1.0
@@ -119,9 +119,9 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
 
 
 def _stable_by_poles(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
-    """Tell the same (n,) by eigenvalues, for loops so slow at their clock that rounding decides about a polynomial.
+    """Return stability (n,) by eigenvalues, for loops much slower than their sampling.
 
-    The matrix of the loop is that of a few gains plus what each more of k_v1 and of k_v1/t_v adds to it.
+    The matrix of the loop is affine in k_v1 and k_v1/t_v.
     """
     if not k_v1.size:
         return np.ones(0, dtype=bool)
@@ -151,13 +151,13 @@ def sweep_sampled_margins(
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
     ``emps_design.control.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
     ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
-    Without ``exact_delay`` the delay margin is that of the phase alone: right at whole samples, and so enough to
-    compare with one of them.
+    Without ``exact_delay`` the delay margin is that of the phase alone: exact at whole samples, and so sufficient for
+    a comparison with one.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
-    >>> found = sweep_sampled_margins(sample_axis(machine("emps2018")), np.array([556.766]), np.array([8.45505e-3]))
-    >>> round(float(found["phase_margin_deg"][0]), 1), bool(found["stable"][0])
+    >>> margins = sweep_sampled_margins(sample_axis(machine("emps2018")), np.array([556.766]), np.array([8.45505e-3]))
+    >>> round(float(margins["phase_margin_deg"][0]), 1), bool(margins["stable"][0])
     (39.2, True)
     """
     shape = np.shape(k_v1)
@@ -165,12 +165,12 @@ def sweep_sampled_margins(
     stable = sweep_stability(plant, k, t)
     chosen = np.flatnonzero(stable)
     grid = plant.frequencies(frequencies)
-    found = {key: np.full(k.size, np.nan) for key in (*KEYS, LOWEST)}
+    margins = {key: np.full(k.size, np.nan) for key in (*KEYS, LOWEST)}
     for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
         piece = chosen[start : start + 2000]
         for key, values in _margins(plant, k[piece], t[piece], grid, at, exact_delay).items():
-            found[key][piece] = values
-    return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in found.items()}}
+            margins[key][piece] = values
+    return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in margins.items()}}
 
 
 def _margins(
