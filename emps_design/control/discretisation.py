@@ -1,4 +1,4 @@
-"""The plant as the controller sees it: discretised exactly under a held voltage, with delays and velocity estimator.
+"""The sampled plant: discretised exactly under a held voltage, with delays and velocity estimator.
 
 The voltage computed at sample k is held over [t_k + delay, t_k+1 + delay), where the delay is ``computation_delay``
 samples plus the delays of the axis's effects, fractions of a sample included. The velocity is estimated from the
@@ -153,7 +153,7 @@ class SampledPlant:
         Phi = self.Phi[np.ix_(self.kept, self.kept)]
         row, G0, G1 = row[self.kept], self.G0[self.kept], self.G1[self.kept]
         size = self.kept.size
-        # Leverrier and Faddeev: the adjugate of (z I - Phi) without differences of nearly equal polynomials.
+        # Faddeev-LeVerrier: the adjugate of (z I - Phi) without differences of nearly equal polynomials.
         adjugate, powers, newer, older = np.eye(size), [1.0], [d0], [d1]
         for power in range(1, size + 1):
             newer.append(float(row @ adjugate @ G0))
@@ -191,7 +191,7 @@ class SampledPlant:
     def to_ss(self) -> control.StateSpace:
         """The plant as a discrete ``control.StateSpace`` from voltage and held force to encoder and velocity.
 
-        All delays are in it, as voltages on their way.
+        Delays are included as states that hold past voltages.
         """
         import control
 
@@ -216,24 +216,24 @@ class SampledPlant:
         return control.tf(*self._own_polynomials, self.period)
 
     def delayed(self, delay: float) -> SampledPlant:
-        """Return the plant whose voltage comes ``delay`` [s] later, any fraction of a sample."""
+        """Return the plant with an additional ``delay`` [s] of the voltage, any fraction of a sample."""
         return self.sampling(replace(self.linear, delay=self.linear.delay + delay))
 
     def sampling(self, linear: LinearPlant) -> SampledPlant:
-        """Return ``linear`` in place of the continuous plant, with this one's clock, estimator and filters."""
+        """Return the sampled plant of ``linear`` with this one's period, delay, estimator and filters."""
         plant = sample_plant(linear, self.period, self._program_delay, self.estimator)
         return replace(plant, filters=self.filters)
 
     @property
     def _program_delay(self) -> int:
-        """Whole samples of delay that are not those of the continuous plant."""
+        """Whole samples of delay besides the delay of the continuous plant."""
         return self.delay - int(_whole_and_fraction(self.linear.delay, self.period)[0])
 
     def delayed_response(self, w: np.ndarray, delay: np.ndarray) -> np.ndarray:
-        """As :meth:`response`, the voltage ``delay`` [s] later, exact between whole samples: (m,), (m,) -> (m,).
+        """:meth:`response` with an additional ``delay`` [s], exact between whole samples: (m,), (m,) -> (m,).
 
-        A delay of whole samples turns the phase alone. A fraction of one changes the magnitude too, since the hold then
-        changes between the samples (modified z-transform).
+        A delay of whole samples shifts the phase alone. A fraction of a sample changes the magnitude too, since the
+        held voltage then changes between the samples (modified z-transform).
         """
         whole, fraction = _whole_and_fraction(self.linear.delay + np.asarray(delay), self.period)
         newer, older = _late(self.linear, fraction, self.period)
@@ -253,10 +253,10 @@ class SampledPlant:
         return np.linalg.solve(matrices, acting[..., None])[..., 0]
 
     def frequencies(self, count: int = 400, peaks: Peaks = ()) -> np.ndarray:
-        """A grid [rad/s] from far below every motion of the loop up to just below the Nyquist frequency.
+        """Return a frequency grid [rad/s] from 1e-5 of the Nyquist frequency to just below it.
 
-        Where the plant resonates, or its inner states do by themselves, or a filter, or the ``peaks`` are that a law
-        has besides, it is as fine as the peak is narrow.
+        It is refined at resonances of the plant and of its inner states, at filters, and at additional ``peaks`` such
+        as those of a law, by the width of each.
         """
         nyquist = math.pi / self.period
         low = np.geomspace(1e-5 * nyquist, 0.05 * nyquist, count // 2, endpoint=False)
@@ -268,11 +268,11 @@ class SampledPlant:
 
     @cached_property
     def resonances(self) -> Peaks:
-        """Frequency [rad/s] and damping ratio of each lightly damped motion of ``linear``, of a single plant."""
+        """Frequency [rad/s] and damping ratio of each lightly damped mode of ``linear``, for a single plant."""
         return oscillations(self.linear.A) if self.linear.A.ndim == 2 else []
 
     def resonance_beside(self, w: float) -> float | None:
-        """Frequency [rad/s] of the resonance next to ``w`` [rad/s], None where none is near."""
+        """Frequency [rad/s] of the resonance nearest to ``w`` [rad/s], None if it is not within :data:`BESIDE`."""
         ratios = [(max(w / own, own / w), own) for own, _ in self.resonances]
         ratio, nearest = min(ratios, default=(math.inf, None))
         return nearest if ratio < BESIDE else None
@@ -281,9 +281,10 @@ class SampledPlant:
 def sample_plant(
     linear: LinearPlant, period: float, delay_samples: int = 0, velocity_estimator: Any = TWO_TAP
 ) -> SampledPlant:
-    """Return the exact discretisation of ``linear`` under a held voltage, ``period`` [s], ``delay_samples`` more.
+    """Return the exact discretisation of ``linear`` under a held voltage, with ``period`` [s] and ``delay_samples``.
 
-    :class:`InputError` for an unstable plant that grows out of hand within one period.
+    The delay of ``linear`` adds to that. Raises :class:`InputError` for an unstable plant that grows by more than e^50
+    within one period.
 
     >>> from emps_design.control.linear_plant import linear_plant
     >>> from emps_design.machines import machine
@@ -314,7 +315,7 @@ def sample_plant(
 
 
 def sample_axis(axis: Axis, velocity: float = 0.1, filters: tuple[Filter, ...] = ()) -> SampledPlant:
-    """Return the sampled plant of ``axis``, its effects linearised at ``velocity`` [m/s], behind ``filters``.
+    """Return the sampled plant of ``axis`` with ``filters`` before it, its effects linearised at ``velocity`` [m/s].
 
     >>> from emps_design.machines import machine
     >>> sample_axis(machine("emps2018")).linear.state

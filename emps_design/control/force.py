@@ -1,20 +1,18 @@
-"""The force loop of Fig. 4 around the velocity loop, (10) and (11), and how large a force gain may be.
+"""The force loop of Fig. 4 around the velocity loop, (10) and (11), and the largest stable force gain.
 
-How large a force gain may be: in closed form for the continuous loop, by a search where only poles say so.
+The limit of the force gain is a closed form for the continuous loop, and a search on the poles for the sampled one.
 
-The force loop of Fig. 4 around the velocity loop, written with an explicit operator, (10) and (11).
-
-The measured force sets the velocity: r = k_e1 (tau_ref + tau_e). The operator's force is the answer to the motion,
+The measured force sets the velocity: r = k_e1 (tau_ref + tau_e). The operator's force is the response to the motion,
 
     tau_e = -(k_h + K_env / s) qd        k_h: viscous hand [N/(m/s)], K_env: stiffness of a wall [N/m]
 
-positive when it pushes towards +q, so a passive operator makes negative feedback. The loop gain is
+positive when it pushes towards +q, so a passive operator closes a negative feedback. The loop gain is
 k_e1 (k_h + K_env/s) T_v(s) with T_v from velocity reference to velocity. The same force also acts on the carriage,
-where the velocity loop resists it: qd = T_vc r + T_IP s tau_e / K_v with T_IP the T_vc of (8), whatever the structure:
-that of PI has its zero in the first alone. The paper neglects the second (``on_carriage=False``).
+where the velocity loop resists it: qd = T_vc r + T_IP s tau_e / K_v with T_IP the T_vc of (8) for every structure: the
+zero of PI is in the first term alone. The paper neglects the second term (``on_carriage=False``).
 
-The paper's own reading takes tau_e = +k_c qd with k_c = 1/k_e1 as reference and result at once; then T_eo = T_vc and
-the closed loop T/(1 - T) is positive feedback with a pole at s = 0: neither stable nor a statement about an operator.
+In the paper's own formulation tau_e = +k_c qd with k_c = 1/k_e1 is both reference and result; then T_eo = T_vc and the
+closed loop T/(1 - T) is positive feedback with a pole at s = 0: not stable, and no statement about an operator.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ if TYPE_CHECKING:
     import control
 
 FORCE_LOOP, VELOCITY_REFERENCE = "force loop", "velocity reference"
-ROUNDING = 1e-12  # of a pole: a limit is where the poles cross the circle, a verdict leaves MARGINAL room
+ROUNDING = 1e-12  # tolerance of a pole for the limit of a gain; verdicts use MARGINAL
 
 
 def largest_force_gain(
@@ -62,11 +60,11 @@ def largest_force_gain(
     on_carriage: bool = True,
     zero: float = 0.0,
 ) -> float | None:
-    """Return the k_e1 [(m/s)/N] at which the continuous force loop loses stability (Routh); None: never.
+    """Return the k_e1 [(m/s)/N] at which the continuous force loop becomes unstable (Routh); None: never.
 
     ``omega_0v`` [rad/s], ``z_v``, ``K_v`` [N/m] of (8), (9); ``hand`` [N/(m/s)], ``environment`` [N/m]. For a wall
-    alone 2 z_v w_0v / K_env, times (1 + K_env/K_v) when the force also acts on the carriage. ``zero`` [s] is that of
-    T_vc, t_v of a PI loop: the answer it hurries needs less of the operator's own damping, so there may be no limit.
+    alone 2 z_v w_0v / K_env, times (1 + K_env/K_v) if the force also acts on the carriage. ``zero`` [s] is that of
+    T_vc, t_v of a PI loop: its lead adds damping, so there may be no limit.
 
     >>> round(largest_force_gain(141.42, 0.61237, 2.3146e6, environment=1e4, on_carriage=False), 6)
     0.01732
@@ -130,7 +128,7 @@ class ForceLoopDesign:
     def apparent_mass(self) -> float:
         """Apparent mass [kg] of the low-frequency match of k_e1 T_vc with 1/(M_a s + B): 2 z_v/(w_0v k_e1) of IP.
 
-        The zero of PI takes k_c t_v off it.
+        The zero of PI reduces it by k_c t_v.
         """
         return (2.0 * self.velocity_loop.z_v / self.velocity_loop.omega_0v - self._zero) / self.k_e1
 
@@ -141,7 +139,7 @@ class ForceLoopDesign:
 
     @property
     def k_e1_max_continuous(self) -> float | None:
-        """Largest k_e1 of the continuous loop [(m/s)/N], closed form; None where there is no limit."""
+        """Largest k_e1 of the continuous loop [(m/s)/N], closed form; None without a limit."""
         loop = self.velocity_loop
         return largest_force_gain(
             loop.omega_0v, loop.z_v, loop.K_v, self.hand, self.environment, self.on_carriage, self._zero
@@ -189,14 +187,14 @@ class ForceLoopDesign:
 
     @cached_property
     def stable(self) -> bool:
-        """Whether the sampled force loop is stable, by its poles; :attr:`worst` says whether all of the design is."""
+        """Whether the sampled force loop is stable, by its poles; :attr:`worst` covers the whole design."""
         return self.sampled_loop().stable
 
     @cached_property
     def k_e1_max_sampled(self) -> float | None:
         """Largest k_e1 of the sampled loop [(m/s)/N], by bisection on its poles; None: no limit, 0: always unstable.
 
-        With more than a hundred samples of delay, poles take seconds: there the response at -180 deg gives the limit.
+        With more than a hundred samples of delay poles take seconds: there the gain margin gives the limit.
         """
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
@@ -242,7 +240,7 @@ class ForceLoopDesign:
 
     @property
     def reason(self) -> str:
-        """Why the design is refused, in one line; empty where every loop of it is stable."""
+        """The reason why the design is refused, in one line; empty if every loop is stable."""
         worst = self.worst
         if worst.margins.stable:
             return ""
@@ -292,7 +290,7 @@ class ForceLoopDesign:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader of the numbers has to know, instability first."""
+        """Warnings on the design, instability first."""
         warnings: list[str] = []
         if not self.stable:
             warnings.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")

@@ -1,25 +1,17 @@
-"""The plant as a linear system about steady motion: carriage, current loop and every effect's slope.
+"""The plant linearised about steady motion: carriage, current loop and every effect.
 
 Each effect enters by its hooks, differentiated at one operating point: forces, dry friction, inertia, own states,
-actuator maps, sensor errors and delays. So whatever ``diagnose`` adds to an axis takes part in a design; what a slope
-cannot show (play, steps in time, injected signals) is named in ``warnings``.
+actuator maps, sensor errors and delays. So every effect that ``diagnose`` adds to an axis is part of a design; what a
+slope cannot describe (play, steps in time, injected signals) is named in ``warnings``.
 
-The operating point is where the loop works: in steady motion at a velocity, from position 0 on. What repeats along the
-travel (a ripple) counts with its mean over one repeat, so it is no spring; at a corner (a stop that is just touched)
-the flatter side counts; an actuator counts at the command that the motion takes, and one that cannot give it just
-inside its limit.
+The operating point is steady motion at a velocity, from position 0 on. An effect that repeats along the travel (a
+ripple) counts with its mean over one repeat, so it is no spring; at a corner (a stop that is just touched) the flatter
+side counts. An actuator map is linearised at the command of the motion, or just inside its limit if it saturates; the
+command follows from the acting voltage through the inverse of the maps.
 
-States: carriage position and velocity, the states of the effects in their order, and the motor force behind the
-current loop where that has a time constant. Inputs: voltage, and an external force on the carriage (+ pushes to +q).
-
-The static maps between the voltage a controller asks for and the voltage that acts: dead zones, saturations.
-
-A linear design needs the slope where the loop works. In steady motion the voltage that *acts* is known, from the force
-that the motion takes; the command behind it is found by going back through the maps of the axis's effects.
-
-One effect at the operating point of a linear plant: in steady motion, from position 0 on.
-
-What the carriage is attached to, and what a force sensor between the two reads.
+States: carriage position and velocity, the states of the effects in their order, and the motor force if the current
+loop has a time constant. Inputs: voltage, and an external force on the carriage (+ pushes to +q). An
+:class:`Environment` attaches mass, damping and stiffness to the carriage, with a force sensor in between.
 """
 
 from __future__ import annotations
@@ -121,10 +113,10 @@ class Member:
         self.places = np.arange(PLACES) / PLACES * self.repeat if effect.repeats else np.zeros(1)
 
     def settle(self, v: float, tau: float) -> None:
-        """Bring the own states to rest at the operating point; keep the initial ones where that fails."""
+        """Set the own states to their equilibrium at the operating point; keep the initial ones if there is none."""
         if self.effect.rate is None:
             return
-        for begin in (lambda: self.x, lambda: self._after(SETTLED, v, tau)):  # a load within its play moves first
+        for begin in (lambda: self.x, lambda: self._after(SETTLED, v, tau)):  # a load within its play must move first
             x = self._at_rest(begin(), v, tau)
             scale = np.abs(self._rate_jacobian(v, tau, x)) @ np.abs(x) + abs(v) + 1e-12
             self.settled = bool(np.all(np.isfinite(x)) and np.all(np.abs(self._rate(0.0, v, tau, x)) <= 1e-6 * scale))
@@ -133,7 +125,7 @@ class Member:
                 return
 
     def _at_rest(self, x: np.ndarray, v: float, tau: float) -> np.ndarray:
-        """Own states that do not change (Newton from ``x``)."""
+        """Equilibrium of the own states (Newton's method from ``x``)."""
         for _ in range(50):
             step = np.linalg.lstsq(self._rate_jacobian(v, tau, x), -self._rate(0.0, v, tau, x), rcond=None)[0]
             x = x + step
@@ -142,17 +134,17 @@ class Member:
         return x
 
     def _after(self, seconds: float, v: float, tau: float) -> np.ndarray:
-        """Own states after so long at the operating point."""
+        """Own states after ``seconds`` at the operating point."""
         from scipy.integrate import solve_ivp
 
         return solve_ivp(lambda t, x: self._rate(0.0, v, tau, x), (0.0, seconds), self.x, "LSODA", rtol=1e-6).y[:, -1]
 
     def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Everything the effect adds to the resisting force while sliding [N], its mean over one repeat."""
+        """Resisting force of the effect while sliding [N], its mean over one repeat."""
         return float(np.mean([self.force_at(q + place, v, tau, x) for place in self.places]))
 
     def force_at(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Everything the effect adds to the resisting force while sliding at ``q`` [N]."""
+        """Resisting force of the effect while sliding at ``q`` [N]."""
         arguments = (q, v, 0.0, tau, x, self.p, self.b)
         total = self.effect.force(*arguments) if self.effect.force else 0.0
         if self.effect.dry:
@@ -162,26 +154,26 @@ class Member:
         return float(total)
 
     def sensor(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """What the effect adds to the encoder's reading [m]."""
+        """Error that the effect adds to the encoder's reading [m]."""
         return self._hook(self.effect.sensor, q, v, tau, x)
 
     def inertia(self, v: float, tau: float) -> float:
-        """What the effect adds to the mass [kg]."""
+        """Mass that the effect adds [kg]."""
         return self._hook(self.effect.inertia, 0.0, v, tau, self.x)
 
     def delay(self, v: float, tau: float) -> float:
-        """By how much the effect delays the voltage [s]."""
+        """Delay of the voltage by the effect [s]."""
         return self._hook(self.effect.delay, 0.0, v, tau, self.x)
 
     def lag(self, v: float, tau: float) -> float:
-        """The time constant [s] with which the motor force follows the voltage."""
+        """Time constant [s] of the motor force behind the voltage by the effect."""
         return self._hook(self.effect.lag, 0.0, v, tau, self.x)
 
     def _hook(self, hook: Kernel | None, q: float, v: float, tau: float, x: np.ndarray) -> float:
         return 0.0 if hook is None else float(hook(q, v, 0.0, tau, x, self.p, self.b))
 
     def slopes(self, function: Callable[..., float], v: float, tau: float) -> tuple[float, float, float, np.ndarray]:
-        """Slopes of ``function(q, v, tau, x)`` over each of the four."""
+        """Partial derivatives of ``function(q, v, tau, x)`` with respect to each argument."""
         return (
             self._over_position(lambda q: function(q, v, tau, self.x)),
             _slope(lambda value: function(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
@@ -190,7 +182,7 @@ class Member:
         )
 
     def rate_slopes(self, v: float, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes of the derivatives of the own states over position, velocity, motor force and the states."""
+        """Partial derivatives of the rates of the own states by position, velocity, motor force and the states."""
         return (
             _slope(lambda q: self._rate(q, v, tau, self.x), 0.0, 1e-6),
             _slope(lambda value: self._rate(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
@@ -217,7 +209,7 @@ class Member:
         return float(np.max(np.abs(slopes)))
 
     def left_out(self, v: float, tau: float) -> list[str]:
-        """What the slopes of this effect do not show."""
+        """Warnings on what the linearisation of this effect leaves out."""
         effect, warnings = self.effect, []
         if effect.guard is not None or effect.jump_time is not None:
             warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
@@ -254,7 +246,7 @@ class Member:
 
 
 def _slope(function: Callable[[Any], Any], at: Any, step: Any) -> Any:
-    """Central difference of ``function`` at ``at``; ``step`` is a number, or a vector with one entry that is not 0."""
+    """Central difference of ``function`` at ``at``; ``step`` is a number, or a vector with one nonzero entry."""
     return (function(at + step) - function(at - step)) / (2.0 * np.max(step))
 
 
@@ -263,8 +255,8 @@ class LinearPlant:
     """dx/dt = A x + B u(t - delay) + E f_ext, encoder reading C x; SI units.
 
     ``state`` names the states, ``mass`` [kg] and ``viscous`` [N/(m/s)] are the carriage's own inertia and slope of
-    friction at the operating point, ``steepest`` [N/m] the largest slope over position of what averages out along the
-    travel, ``warnings`` names what the slopes leave out. Arrays may have leading axes, for many plants at once.
+    friction at the operating point, ``steepest`` [N/m] the largest slope over position of forces that average out along
+    the travel, ``warnings`` names what is left out. Arrays may have leading axes, for many plants at once.
     """
 
     A: np.ndarray
@@ -280,17 +272,17 @@ class LinearPlant:
 
     @property
     def in_slow_motion(self) -> tuple[float, float]:
-        """Mass [kg] and slope of friction [N/(m/s)] of all that moves, a load behind a coupling too; of a single plant.
+        """Total moving mass [kg] and slope of friction [N/(m/s)], with a load behind a coupling; for a single plant.
 
-        From the force over the velocity of the carriage in powers of s: its constant, and what multiplies s. What
-        depends on position is left out.
+        They are the coefficients of s and 1 in the force over the velocity of the carriage as a power series in s.
+        Forces that depend on position are left out.
 
         >>> mass, slope = rigid_plant(2.0, 6.0).in_slow_motion
         >>> round(mass, 9), round(slope, 9)
         (2.0, 6.0)
         """
         A, E = self.A[VELOCITY:, VELOCITY:].copy(), self.E[VELOCITY:]
-        more = float(self.mass)  # N/(m/s) of friction on top, for a plant that has none
+        more = float(self.mass)  # N/(m/s) of additional friction, for a plant without any
         A[0, 0] -= E[0] * more
         moves = np.linalg.lstsq(A, E, rcond=None)[0]  # a load within its play does not move
         speed, slower = -moves[0], -np.linalg.lstsq(A, moves, rcond=None)[0][0]
@@ -315,7 +307,7 @@ def rigid_plant(
     force_gain: float = 1.0,
     current_time_constant: float = 0.0,
 ) -> LinearPlant:
-    """The plant without effects: ``mass`` [kg] and ``viscous`` friction [N/(m/s)], arrays (m,) for m plants.
+    """Return the plant without effects: ``mass`` [kg] and ``viscous`` friction [N/(m/s)], arrays (m,) for m plants.
 
     ``force_gain`` G_tau [N/V]; ``current_time_constant`` [s] of the current loop, 0: ideal.
 
@@ -363,7 +355,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     gain, lag = axis.drive.gain, axis.drive.current_time_constant
     warnings: list[str] = []
 
-    # Without what a back-EMF brakes: the effects see the force that the winding's current makes.
+    # Without the braking of a back-EMF: the effects read the force of the winding's current.
     tau = b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET]
     for _ in range(20):  # the effects' forces need the motor force, which needs their forces
         for member in members:
@@ -444,14 +436,14 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
 
 
 def _steady_force(members: list[Member], b: np.ndarray, v: float, tau: float) -> float:
-    """Motor force that keeps the carriage at ``v`` [N]."""
+    """Motor force [N] of steady motion at ``v`` [m/s]."""
     forces = sum(member.force(0.0, v, tau, member.x) for member in members)
     return float(b[VISCOUS] * v + np.sign(v) * b[COULOMB] + b[OFFSET] + forces)
 
 
 @dataclass(frozen=True)
 class Environment:
-    """What the carriage is attached to: added mass [kg], damping [N/(m/s)] and stiffness to ground [N/m].
+    """An environment of the carriage: added mass [kg], damping [N/(m/s)] and stiffness to ground [N/m].
 
     A passive hand is ``tau_e = -(mass qdd + damping qd + stiffness q)``; a stiff wall has stiffness alone.
     """
@@ -466,9 +458,9 @@ FREE = Environment()
 
 @dataclass(frozen=True)
 class Felt:
-    """What the force sensor reads at a sample: ``state`` (..., n) x + ``voltage`` u + ``force`` f_ext [N].
+    """Reading of the force sensor at a sample: ``state`` (..., n) x + ``voltage`` u + ``force`` f_ext [N].
 
-    ``u`` is the voltage that acted until then, f_ext the force from outside, held from then on.
+    ``u`` is the voltage that acted up to the sample, f_ext the external force, held from the sample on.
     """
 
     state: np.ndarray
@@ -477,14 +469,14 @@ class Felt:
 
 
 def attached(plant: LinearPlant, environment: Environment) -> LinearPlant:
-    """Return ``plant`` with the ``environment`` on its carriage; arrays (m,) in it make m plants.
+    """Return ``plant`` with the ``environment`` on its carriage; arrays (m,) in it give m plants.
 
     >>> from emps_design.control.linear_plant import rigid_plant
     >>> attached(rigid_plant(2.0, 6.0), Environment(mass=1.0, stiffness=30.0)).A.tolist()
     [[0.0, 1.0], [-10.0, -2.0]]
     """
     share = np.asarray(plant.E[..., VELOCITY] / (plant.E[..., VELOCITY] * environment.mass + 1.0))
-    share = share / plant.E[..., VELOCITY]  # of the force that is left to the carriage's own mass
+    share = share / plant.E[..., VELOCITY]  # of the force that accelerates the carriage's own mass
     shape = np.broadcast_shapes(share.shape, np.shape(environment.damping), np.shape(environment.stiffness))
     A = np.broadcast_to(plant.A, (*shape, *plant.A.shape[-2:])).copy()
     B, E = (np.broadcast_to(x, (*shape, x.shape[-1])).copy() for x in (plant.B, plant.E))
@@ -497,9 +489,9 @@ def attached(plant: LinearPlant, environment: Environment) -> LinearPlant:
 
 
 def felt(plant: LinearPlant, environment: Environment) -> Felt:
-    """What a sensor between the carriage of ``plant``, as :func:`attached`, and the ``environment`` reads.
+    """Return the reading of a force sensor between the carriage of ``plant``, as :func:`attached`, and ``environment``.
 
-    All of the environment's force, inertia included, and the force from outside.
+    It is the whole force of the environment, inertia included, and the external force.
     """
     mass = np.asarray(environment.mass)
     state = -mass[..., None] * plant.A[..., VELOCITY, :]

@@ -1,9 +1,9 @@
 """Margins of a loop from its frequency response: phase, gain and delay, for one loop or for thousands at once.
 
-Stability comes from the poles, never from here: an unstable loop has no margins, and every caller says so first.
-The phase margin is the phase *lag* the loop bears at a crossover before its response reaches -1, the smallest over
-all crossovers; the delay margin is the smallest of that lag over its frequency; the gain margin is the smallest
-factor above one that brings the response to -1, rest and the Nyquist frequency included, and the gain reduction margin
+Stability is judged by the poles, never here: an unstable loop has no margins, and every caller checks that first. The
+phase margin is the additional phase *lag* at a crossover that moves the response to -1, the smallest over all
+crossovers; the delay margin is the smallest ratio of that lag to its frequency; the gain margin is the smallest factor
+above one that moves the response to -1, frequency 0 and the Nyquist frequency included, and the gain reduction margin
 the largest factor below one that does (a plant that is unstable by itself needs a least gain).
 """
 
@@ -26,9 +26,9 @@ KEYS = (
     "gain_margin_frequency",
     "gain_reduction_margin",
 )
-LOWEST = "lowest_crossover"  # rad/s, in arrays: up to which a loop acts, wherever its least phase margin is
-AT_REST = 1e-3  # rad from the real axis, within which a loop below 0 dB at the lowest frequency is there already
-ROUNDING = 1e-6  # rad, by which the lag of a loop on the border of stability may come out below 0
+LOWEST = "lowest_crossover"  # rad/s, key in arrays: first crossover, wherever the least phase margin is
+AT_REST = 1e-3  # ratio of imaginary to real part below which a loop below 0 dB at the lowest frequency counts as real
+ROUNDING = 1e-6  # rad, rounding of the lag of a loop at the limit of stability
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -38,7 +38,7 @@ class Margins:
 
     ``phase_margin_deg`` [deg], ``crossover`` [rad/s] (where that margin is smallest), ``delay_margin`` [s],
     ``gain_margin`` [ratio], ``gain_margin_frequency`` [rad/s], ``gain_reduction_margin`` [ratio], ``period`` [s] of a
-    sampled loop (None: continuous), ``disk_margin`` as :func:`disk_margin` has it.
+    sampled loop (None: continuous), ``disk_margin`` see :func:`disk_margin`.
 
     >>> margins = Margins(stable=True, delay_margin=2e-3, gain_margin=10.0, period=1e-3)
     >>> margins.delay_margin_samples, margins.gain_margin_db

@@ -1,11 +1,10 @@
-"""Simulate many plants side by side, on every core, or on a cluster.
+"""Simulate many plants in parallel, on every core, or on a cluster.
 
-Work goes through joblib, so it runs in threads here and, inside ``joblib.parallel_config(backend="dask")``, on a
-``dask.distributed`` cluster with the same call. Plants are cut into equal parts whatever the number of workers, and
-share nothing: the numbers are the same for any number of workers. A plant that cannot be simulated is flagged and never
-loses the others; an interrupt keeps what is finished.
-
-Which plants to simulate: corners of a spread, a Monte-Carlo over it, the sweep of one number.
+The plants are corners of a spread, a Monte-Carlo over it, or the sweep of one parameter. Work goes through joblib, so
+it runs in threads here and, inside ``joblib.parallel_config(backend="dask")``, on a ``dask.distributed`` cluster with
+the same call. Plants are split into equal parts whatever the number of workers, and share nothing: the numbers are the
+same for any number of workers. A plant that cannot be simulated is flagged and does not affect the others; an interrupt
+keeps the finished ones.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _PART = {"lanes": 8 * LANES, "single": 8}  # plants handed out at a time
 class Plants:
     """Parameters of many plants: ``baseline`` (m, 4) and, per effect, ``parameters`` (m, n_parameters).
 
-    ``names`` says what was varied, ``values`` (m, len(names)) how.
+    ``names`` are the varied parameters, ``values`` (m, len(names)) their values.
     """
 
     baseline: np.ndarray
@@ -60,7 +59,7 @@ class Plants:
 
 
 def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, seed: int = 0) -> Plants:
-    """Draw ``plants`` plants evenly within +- ``spread`` (relative, of every name given, or of the whole baseline).
+    """Draw ``plants`` plants uniformly within +- ``spread``, relative, of each name or of the whole baseline.
 
     Names are ``mass``, ``viscous``, ``coulomb``, ``offset`` and ``effect.parameter``.
 
@@ -77,7 +76,7 @@ def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, se
 
 
 def corners(axis: Axis, spread: float | Mapping[str, float]) -> Plants:
-    """Every combination of the ends of +- ``spread`` (relative), lower ends first, after the axis itself.
+    """Return the axis itself and every combination of the ends of +- ``spread`` (relative), lower ends first.
 
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2019")
@@ -93,7 +92,7 @@ def corners(axis: Axis, spread: float | Mapping[str, float]) -> Plants:
 
 
 def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
-    """One plant for each of ``values`` of the parameter called ``name`` (its unit is the axis file's).
+    """Return one plant for each of ``values`` of the parameter ``name``, in the unit of the axis file.
 
     >>> from emps_design.machines import machine
     >>> sweep(machine("emps2019"), "mass", [90.0, 100.0]).baseline[:, 0]
@@ -106,7 +105,7 @@ def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
 
 
 def _known(axis: Axis) -> dict[str, tuple[int, int]]:
-    """Names that can be varied: place of the effect (-1: baseline), place in its parameters."""
+    """Parameters that can be varied: name -> index of the effect (-1: baseline), index of the parameter."""
     names = {name: (-1, i) for i, name in enumerate(BASELINE)}
     for place, entry in enumerate(axis.effects):
         for i, parameter in enumerate(entry.effect.parameters):
@@ -153,7 +152,7 @@ class Ensemble:
     """Metrics of many plants, one row per plant: ``metrics`` by name (NaN where it did not finish), and ``status``.
 
     ``tracking_rms`` [m] of reference minus position; ``position_rms`` [m] and ``force_rms`` [N] of record minus
-    simulation where a record was given; ``peak_voltage`` [V]; ``rest_share`` of the samples at rest.
+    simulation, if there is a record; ``peak_voltage`` [V]; ``rest_share`` of the samples at rest.
     """
 
     plants: Plants
@@ -163,7 +162,7 @@ class Ensemble:
     interrupted: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """Counts, quantiles of every metric, and why plants failed."""
+        """Counts, quantiles of every metric, and reasons of failures."""
         done = self.status == DONE
         quantiles = {}
         for name, values in self.metrics.items():
@@ -198,9 +197,9 @@ def simulate_ensemble(
 ) -> Ensemble:
     """Simulate every plant in closed loop along ``q_ref`` (n,) [m], or along ``record`` and compare with it.
 
-    ``workers`` counts threads (-1: every core), or the cluster's tasks at a time. ``progress`` is called with a stage
-    and a fraction. Ctrl-C returns what is finished, the rest flagged ``unfinished``. Raises :class:`InputError` where
-    neither a reference nor a record is given, or the axis has no controller.
+    ``workers`` is the number of threads (-1: every core), or of the cluster's concurrent tasks. ``progress`` is called
+    with a stage and a fraction. Ctrl-C returns the finished plants, the rest flagged ``unfinished``. Raises
+    :class:`InputError` without a reference and a record, or if the axis has no controller.
     """
     if q_ref is None and record is not None:
         q_ref = record.q_ref
@@ -239,7 +238,7 @@ def _collect(
     workers: int,
     progress: Progress | None,
 ) -> bool:
-    """Hand out the parts and gather what comes back, in any order; returns whether it was interrupted."""
+    """Simulate the parts and collect their results, in any order; returns whether it was interrupted."""
     from joblib import Parallel, delayed
 
     finished = 0
@@ -280,7 +279,7 @@ def simulate_part(
             good.append(i)
     if _fits_lanes(axis):
         rows[good] = _side_by_side(task, baselines[good])
-        # Lanes do not look for instability: those that reached the voltage limit or no number are looked at again.
+        # Lanes do not detect instability: plants that reached the voltage limit or nan are simulated again alone.
         limit = axis.drive.command_limit
         good = [i for i in good if not (np.isfinite(rows[i]).all() and rows[i, PEAK] < limit)]
     plant = Plant.of(axis)

@@ -1,7 +1,7 @@
-"""What touches the carriage: an operator's hand that means to move somewhere, and a wall.
+"""Contact of the carriage: an operator's hand with an intended motion, and a wall.
 
-They join the plant through the hooks of an effect, so the same stepper locates their contacts; the external force
-``f_ext`` that a sensor on the carriage feels is theirs, positive towards +q.
+They join the plant through the hooks of an effect, so the same stepper locates their contacts; their force is the
+external force ``f_ext`` that a sensor on the carriage measures, positive towards +q.
 """
 
 from __future__ import annotations
@@ -74,9 +74,9 @@ WALL = Effect(
 class Hand:
     """A hand on the carriage: ``mass`` [kg] moves with it, ``damping`` [N/(m/s)] and ``stiffness`` [N/m] pull it along.
 
-    Where it means to go is given to the simulation as ``intention`` (n,) [m]; in between the intention moves evenly.
-    Not a number: the hand has let go. ``held``: its force is that of the sample for the whole period, as the drive's
-    voltage is; then the hand has no mass of its own.
+    Its intended motion is the argument ``intention`` (n,) [m] of a simulation, linear between the samples; nan means
+    that the hand has let go. ``held``: its force is constant over a period, as the drive's voltage is; then the hand
+    has no mass of its own.
 
     >>> Hand(mass=1.0, damping=20.0, stiffness=500.0).stiffness
     500.0
@@ -93,7 +93,7 @@ class Hand:
             raise InputError(f"hand: found {self.mass:g} kg and a held force, expected no mass or held=False")
 
     def effect(self) -> tuple[Effect, np.ndarray]:
-        """The hand as the stepper takes it; :class:`InputError` for a number out of its bounds."""
+        """The hand as an effect with its parameters; :class:`InputError` for a number out of its bounds."""
         own = {"mass": self.mass, "damping": self.damping, "stiffness": self.stiffness}
         return HAND, HAND.values({**own, "intended_position": 0.0, "intended_velocity": 0.0, "since": 0.0})
 
@@ -113,5 +113,5 @@ class Wall:
             raise InputError(f"wall: found side {self.side:g} at {self.position:g} m, expected side +1 or -1")
 
     def effect(self) -> tuple[Effect, np.ndarray]:
-        """The wall as the stepper takes it; :class:`InputError` for a number out of its bounds."""
+        """The wall as an effect with its parameters; :class:`InputError` for a number out of its bounds."""
         return WALL, WALL.values(vars(self))

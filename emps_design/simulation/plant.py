@@ -286,13 +286,13 @@ class Plant:
 
         ``q_ref`` (n,) [m]; ``baseline`` [mass, viscous, coulomb, offset] and ``parameters`` (one array per effect) in
         place of the axis's; ``disturbance`` (n,) [N] on the carriage, held over each period; ``voltage_noise`` (n,) [V]
-        added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` is
-        what the law follows, by default ``q_ref``, or its backward difference for a law that follows a velocity;
-        ``intention`` (n,) [m] is where a hand means to be, nan where it has let go; ``supply`` (n,) [V] is what a duty
-        is a share of, by default the axis's; ``enable`` (n,) is 0 where the motor is switched off, its winding open;
-        ``energy`` asks for the energy balance; ``quantise=False`` takes an exact encoder; ``tolerance`` scales what one
-        step may be wrong by; ``method`` is ``auto``, ``general``, ``linear``, ``plain`` or ``folded``.
-        Raises :class:`SimulationError` with time, state and effect where the simulation cannot go on.
+        added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` of
+        the law, by default ``q_ref``, or its backward difference for a law that follows a velocity; ``intention`` (n,)
+        [m] is the position that a hand aims at, nan after it has let go; ``supply`` (n,) [V] is the supply of a duty,
+        by default the axis's; ``enable`` (n,) is 0 where the motor is switched off, its winding open; ``energy`` adds
+        the energy balance; ``quantise=False`` takes an exact encoder; ``tolerance`` scales the error tolerance of a
+        step; ``method`` is ``auto``, ``general``, ``linear``, ``plain`` or ``folded``.
+        Raises :class:`SimulationError` with time, state and effect if the simulation cannot continue.
         """
         period = self.axis.sampling.period if period is None else positive(period)
         q_ref = signal(q_ref, "q_ref", "m")

@@ -1,6 +1,6 @@
-"""What a simulation returns: signals with names and units, events, saved and loaded without loss.
+"""The result of a simulation: signals with names and units, events, saved and loaded without loss.
 
-What drives a closed-loop simulation along a record: all that the record says of the drive besides its answer.
+:func:`driven_by` collects the inputs of a closed-loop simulation from a record.
 """
 
 from __future__ import annotations
@@ -43,12 +43,11 @@ EVENTS = ("reversal", "stick", "break-away", "guard")
 
 
 def driven_by(axis: Axis, record: Record) -> dict[str, Any]:
-    """Keywords of :meth:`Plant.closed_loop` with which the simulation of ``record`` starts and is driven as it was.
+    """Return the keywords of :meth:`Plant.closed_loop` that simulate ``record`` with its initial state and inputs.
 
-    The law of ``axis``, with the gains that the record gives; what it follows, a recorded velocity reference where it
-    follows a velocity; the measured external force, what was added to the controller's output, the supply of a duty and
-    where the motor was switched off. Without a
-    controller there is no law among them.
+    They are the law of ``axis`` with the gains of the record; its reference, recorded too if it is a velocity; the
+    measured external force, the excitation of the controller's output, the supply of a duty, and the times at which
+    the motor was switched off. Without a controller there is no law among them.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -176,7 +175,7 @@ class Run:
         return np.array([i for i in intervals if i[1] > i[0]], dtype=float).reshape(-1, 2)
 
     def record(self, name: str | None = None) -> Record:
-        """The run as a record, as the machine would have written it."""
+        """The run as a record of the machine."""
         touched = bool(np.any(self.f_ext))
         return Record(
             t=self.t,
@@ -203,16 +202,16 @@ class Run:
                 allow_pickle=False,
                 **{name: values for name, values in self.signals.items() if name in (*STORED, *OPTIONAL)},
                 t=self.t,
-                **{RECORD: np.asarray(1)},  # a record too, not to be mapped by an axis whose drive has other titles
+                **{RECORD: np.asarray(1)},  # also a record, whose columns an axis file must not map
                 events=self.events,
                 force_gain=np.asarray(self.force_gain),
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
 
     def to_csv(self, path: str | Path, units: Units = PLAIN, mapped: bool = False) -> None:
-        """Write every signal to ``path`` as a table whose titles carry the units; 17 digits, so nothing is lost.
+        """Write every signal to ``path`` as a table with units in the titles and 17 digits, so nothing is lost.
 
-        ``units`` are those of the axis; ``mapped`` says that it maps columns of other titles, which these are not.
+        ``units`` are those of the axis; ``mapped``: the axis file maps other titles, so a column marks these as plain.
         """
         titles = ",".join(f"{name} [{units.unit(DESCRIBED[name][1])}]" for name in self.signals)
         columns = np.column_stack(list(self.signals.values()))

@@ -181,8 +181,8 @@ def read_reference(
     """Return ``q_ref`` (n,) [m], ``f_ext`` (n,) [N] or None and ``excitation`` (n,) [V] or None.
 
     They are interpolated at multiples of ``period`` [s]; an excitation is held from one row to the next.
-    ``units`` are those of the axis.
-    Raises :class:`RecordError` in one line for a file that has no such columns, is not finite, or runs back in time.
+    ``units`` are those of the axis. Raises :class:`RecordError` for a file without these columns, with numbers that are
+    not finite, or with a time that does not increase.
     """
     try:
         content = read_bytes(Path(path), MAX_BYTES, "expected a .csv or .npz reference")
@@ -194,7 +194,7 @@ def read_reference(
 def reference_from_bytes(
     content: bytes, name: str, period: float, units: Units = PLAIN
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    r"""Return what :func:`read_reference` does, from the ``content`` of a file called ``name``.
+    r""":func:`read_reference` for the ``content`` of a file called ``name``.
 
     >>> reference_from_bytes(b"t,q_ref [mm]\n0,0\n0.2,4\n", "way.csv", 0.1)[0].tolist()
     [0.0, 0.002, 0.004]
@@ -250,11 +250,11 @@ def relative_error_percent(
 
 @dataclass(frozen=True)
 class Replay:
-    """A record beside the simulation of its axis from the reference alone (or from ``u``, without a controller).
+    """A record and the simulation of its axis from the reference alone (or from ``u``, without a controller).
 
     ``relative_error_percent`` has position, velocity, acceleration (central differences of the positions) and force
     (of the voltage that reaches the drive, so a computation delay shifts the simulated one). ``mean_absolute_error`` is
-    over all samples [SI]. What is in a gap of the record does not count, nor the first samples behind it.
+    over all samples [SI]. Samples in a gap of the record do not count, nor the first ones after it.
     """
 
     axis: Axis
@@ -267,7 +267,7 @@ class Replay:
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's keys, and what was simulated."""
+        """Plain data: errors with units, the run, and warnings."""
         return {
             "scenario": "replay",
             "axis": self.axis.name,
@@ -299,11 +299,10 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     """Simulate ``axis`` along ``record`` and compare.
 
     With a controller the loop is closed on ``record.q_ref``; without one the recorded voltage drives the plant. The
-    carriage starts at rest at the record's first position. Behind a gap of the record a controller brings the carriage
-    back; without one it starts anew, at the position and the velocity that were measured there. Raises
-    :class:`InputError` when the record is too short or its period is not the axis's, :class:`UnstableError` where the
-    closed loop diverges, with the nearest that does not, and :class:`SimulationError` where a simulation in open loop
-    cannot go on.
+    carriage starts at rest at the record's first position. After a gap of the record a controller brings the carriage
+    back; without one the simulation restarts at the measured position and velocity. Raises :class:`InputError` if the
+    record is too short or its period is not the axis's, :class:`UnstableError` if the closed loop diverges, with the
+    nearest controller that does not, and :class:`SimulationError` if a simulation in open loop cannot continue.
     """
     settled, there = _compared(record)
     if len(record) <= DROPPED + 2 or not settled.any():
@@ -339,7 +338,7 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
 
 
 def _open_loop(axis: Axis, record: Record, quantise: bool) -> Run:
-    """The pieces of ``record``, each up to the next, in open loop."""
+    """Simulate ``record`` in open loop, piece by piece between its gaps."""
     plant, n = Plant.of(axis), len(record)
     starts = [start for start, _ in record.pieces]
     starts[0] = 0
@@ -353,7 +352,7 @@ def _open_loop(axis: Axis, record: Record, quantise: bool) -> Run:
 
 
 def _compared(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Samples (n,) of bool that count in relative errors, settled and with neighbours, and all that were recorded."""
+    """Masks (n,) of the samples that count in relative errors, and of all recorded samples."""
     settled, n = np.zeros(len(record), bool), len(record)
     for start, stop in record.pieces:
         settled[start + DROPPED : stop if stop == n else max(start, stop - NEIGHBOURS)] = True
@@ -362,10 +361,10 @@ def _compared(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Breakaway:
-    """Forces at which a carriage at rest leaves, by a force raised slowly; [N], None where it held to the peak.
+    """Break-away forces of a carriage at rest under a slowly rising force [N]; None if it held up to the peak.
 
-    ``forward`` and ``backward`` are what the push had to reach; friction at rest is half their difference, the constant
-    force half their sum (with its sign on the left-hand side of the axis's equation).
+    Friction at rest is half the difference of ``forward`` and ``backward``, the constant force half their sum (with its
+    sign on the left-hand side of the axis's equation).
     """
 
     axis: Axis
@@ -397,21 +396,20 @@ class Breakaway:
         }
 
 
-MOVED = 1e-3  # m of travel that count as motion where friction is a bending contact, which moves from the start
-COARSE = 0.01  # share of a break-away force by which the push may rise from sample to sample before that is said
+MOVED = 1e-3  # m of travel that count as break-away if friction is an elastic contact, which moves from the start
+COARSE = 0.01  # rise of the push per sample, as a share of the break-away force, above which a warning says so
 
 
 def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: float = 0.0) -> Breakaway:
-    """Raise an external force slowly, forward and backward, until the carriage leaves; the motor is off.
+    """Raise an external force slowly, forward and backward, until the carriage breaks away; the motor is off.
 
-    ``rate`` [N/s]; ``peak`` [N], by default three times what the baseline's friction and constant force can hold, plus
-    20 N. With set-valued friction the carriage leaves at the instant of the break-away after which it does not stop
-    again; where friction is a bending contact, the force is that at which it has moved 1 mm. Where it has not when the
-    push ends, a warning says how far it came.
+    ``rate`` [N/s]; ``peak`` [N], by default three times the baseline's friction and constant force, plus 20 N. With
+    set-valued friction the break-away is the one after which the carriage does not stop again; with an elastic contact
+    the force is that at which it has moved 1 mm. If it has not when the push ends, a warning gives its travel.
 
     >>> from emps_design.machines import machine
-    >>> found = breakaway(machine("emps2018"), rate=20.0).to_dict()
-    >>> round(found["static_friction"], 1)
+    >>> forces = breakaway(machine("emps2018"), rate=20.0).to_dict()
+    >>> round(forces["static_friction"], 1)
     17.4
     """
     if not (np.isfinite(rate) and rate > 0):

@@ -1,8 +1,8 @@
-"""A record to practise on: an axis under its own controller, with the noise that a real one carries.
+"""Synthetic records: an axis under its own controller, with noise like that of a measured record.
 
-Laps of trapezoids of velocity, two strokes at each of three speeds, like those of the EMPS data set; 4 mV of voltage
-noise and 0.35 N rms of force noise below 40 Hz, which is what DATA_EMPS shows from lap to lap; on an axis much weaker
-or stronger as much less or more.
+Laps of trapezoidal velocity, two strokes at each of three speeds, like those of the EMPS data set; 4 mV of voltage
+noise and 0.35 N rms of force noise below 40 Hz, as DATA_EMPS shows from lap to lap, scaled for an axis that is much
+weaker or stronger.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from emps_design.records.layout import Layout
 from emps_design.simulation.plant import Plant
 
 VOLTAGE_NOISE = 0.004  # V, of an ordinary axis
-FORCE_NOISE, FORCE_BAND = 0.35, 40.0  # N rms, likewise, and Hz
+FORCE_NOISE, FORCE_BAND = 0.35, 40.0  # N rms of an ordinary axis, and Hz
 SPEEDS = (1.0, 0.5, 0.25)  # of the highest speed
 
 
@@ -49,7 +49,7 @@ def trapezoid_laps(
 def there_and_back(period: float, stroke: float, speed: float, acceleration: float, pause: float) -> np.ndarray:
     """Return positions (n,) [m] from 0 to ``stroke`` [m] and back by :func:`point_to_point`, ``pause`` [s] after each.
 
-    Raises :class:`InputError` for a motion longer than a record may be.
+    Raises :class:`InputError` for a motion longer than the longest record.
 
     >>> there_and_back(0.5, 1.0, 1.0, 2.0, 0.5).tolist()
     [0.0, 0.25, 0.75, 1.0, 1.0, 1.0, 0.75, 0.25, 0.0, 0.0]
@@ -73,11 +73,10 @@ def synthetic_record(
     speed: float = 0.2,
     q_ref: np.ndarray | None = None,
 ) -> Record:
-    """Simulate ``axis`` over :func:`trapezoid_laps`, or a ``q_ref`` (n,) [m] of one's own, and return the record.
+    """Simulate ``axis`` over :func:`trapezoid_laps`, or along ``q_ref`` (n,) [m], and return the record.
 
-    The same seed gives the same bits.
-
-    Raises :class:`InputError` for an axis whose controller does not follow a position.
+    The same seed gives the same bits. Raises :class:`InputError` for an axis whose controller does not follow a
+    position.
 
     >>> from emps_design.machines import machine
     >>> record = synthetic_record(machine("emps2019"), laps=1)
@@ -128,7 +127,7 @@ def point_to_point(period: float, stroke: float, speed: float, acceleration: flo
 
 
 def _force_noise(random: np.random.Generator, n: int, period: float) -> np.ndarray:
-    """First-order noise (n,) [N] of the level and band that the module names for an ordinary axis."""
+    """First-order noise (n,) [N] with the level and band of an ordinary axis."""
     from scipy.signal import lfilter
 
     decay = float(np.exp(-2.0 * np.pi * FORCE_BAND * period))

@@ -1,21 +1,20 @@
-"""Impedance control without a force sensor: the law with all its options, and what the carriage then feels like.
+"""Impedance control without a force sensor: the law with all its options, and the apparent impedance of the carriage.
 
-Section IV of the 2018 paper, after Hogan; the equations stand in :mod:`emps_design.laws.library.impedance`. Plant
-``M qdd = tau + tau_e - F_v qd - F_c sign(qd)``. ``kappa = 1`` is what (28) and (29) give; ``kappa = 2`` is (30) as
+Section IV of the 2018 paper, after Hogan; the equations are in :mod:`emps_design.laws.library.impedance`. Plant
+``M qdd = tau + tau_e - F_v qd - F_c sign(qd)``. ``kappa = 1`` follows from (28) and (29); ``kappa = 2`` is (30) as
 printed. Hats are ``(1 + error)`` times the plant's numbers, so an error of +2 % is an over-estimate.
 
-Which cascaded force loop (k_e1, k_v1, t_v) feels like which impedance (M_a, B), and how well.
-
-The cascade of Fig. 4 answers a hand with ``qd = k_e1 T_vc(s) tau_e``, so its impedance is, exactly,
+:class:`EquivalentLoop` is the cascaded force loop (k_e1, k_v1, t_v) that is equivalent to an impedance (M_a, B). The
+cascade of Fig. 4 responds to a hand with ``qd = k_e1 T_vc(s) tau_e``, so its impedance is, exactly,
 
     Z(s) = (1 + (2 z_v/w_0v) s + s^2/w_0v^2) / k_e1        against the target  M_a s + B.
 
 - *low-frequency* match: ``B = 1/k_e1``, ``M_a = 2 z_v/(w_0v k_e1) = B sin(phi_v)/w_v``;
-- *least squares* of Z over 0 to 20 rad/s, uniform in frequency: the same M_a per k_e1, and B where the mean of the
-  real part ``(1 - w^2/w_0v^2)/k_e1`` lies.
+- *least squares* of Z over 0 to 20 rad/s, uniform in frequency: the same M_a per k_e1, and B the mean of the real part
+  ``(1 - w^2/w_0v^2)/k_e1``.
 
-The term s^2 has no counterpart, so no match exists at high frequency. From the paper's own 100 rad/s, 60 deg and
-B = 100 N/(m/s) follows M_a = 0.87 kg: the 50 kg of its experiments are not the equivalent of its section II-C.
+The term s^2 has no counterpart, so there is no match at high frequency. From the paper's own 100 rad/s, 60 deg and
+B = 100 N/(m/s) follows M_a = 0.87 kg: the 50 kg of its experiments are not equivalent to its section II-C.
 """
 
 from __future__ import annotations
@@ -54,9 +53,9 @@ BAND = 20.0  # rad/s, the operator's range in section II-C
 
 @dataclass(frozen=True)
 class ApparentImpedance:
-    """What the operator feels in motion: ``tau_e = mass qdd + damping qd + coulomb_left sign(qd)``.
+    """Impedance at the operator's hand in motion: ``tau_e = mass qdd + damping qd + coulomb_left sign(qd)``.
 
-    ``coulomb_left`` below zero drives the carriage instead of holding it back.
+    A negative ``coulomb_left`` drives the carriage instead of resisting.
     """
 
     mass: float
@@ -64,13 +63,13 @@ class ApparentImpedance:
     coulomb_left: float
 
     def to_dict(self) -> dict[str, float]:
-        """Keys of the contract: apparent_mass [kg], apparent_damping [N/(m/s)], coulomb_left [N]."""
+        """Plain data: apparent_mass [kg], apparent_damping [N/(m/s)], coulomb_left [N]."""
         return {"apparent_mass": self.mass, "apparent_damping": self.damping, "coulomb_left": self.coulomb_left}
 
 
 @dataclass(frozen=True)
 class ImpedanceLaw:
-    """The impedance law with everything that decides how it behaves, or many that differ in their estimates.
+    """The impedance law with all its options, or many laws that differ in their estimates.
 
     ``mass`` M_a [kg], ``damping`` B [N/(m/s)], ``estimate`` the law's X, ``stiffness`` K [N/m] about
     ``rest_position`` q_0 [m]; ``filter`` [rad/s] low-passes acceleration and current alike (inf: none),
@@ -143,9 +142,9 @@ class ImpedanceLaw:
         check_filters(period, *self.filters)
 
     def motor_force(self, q: float, v: float, a: float, tau: float, tau_e: float | None = None) -> float:
-        """Motor force [N] of the continuous law; ``a`` and ``tau`` are what the filters give, ``tau_e`` a sensor's.
+        """Motor force [N] of the continuous law, with filtered ``a`` and ``tau``, and ``tau_e`` of a force sensor.
 
-        Source: (27) with (29), q_0 where it is at the start.
+        Source: (27) with (29), q_0 at its initial position.
         """
         i, s = int(v < 0), float(np.sign(v))
         e, coulomb = self.estimate, s * self.coulomb_factor * self.estimate.coulomb[i]
@@ -200,10 +199,10 @@ class ImpedanceLaw:
 
 
 def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None = None, **options: Any) -> ImpedanceLaw:
-    """Return the law for ``axis`` with the axis's own numbers as estimates.
+    """Return the law for ``axis`` with the axis's own parameters as estimates.
 
-    ``filter`` [rad/s] None takes the axis's controller's, else :func:`default_filter`. Raises :class:`InputError` for
-    impossible numbers and for filters above Nyquist.
+    ``filter`` [rad/s] None takes that of the axis's controller, else :func:`default_filter`. Raises
+    :class:`InputError` for numbers out of range and for filters above Nyquist.
 
     >>> from emps_design.machines import machine
     >>> impedance_law(machine("emps2018"), 50.0, 100.0).filter
@@ -218,9 +217,9 @@ def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None 
 
 
 def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
-    """``law`` as a controller of ``axis`` at a sampling ``period`` [s], for ``Plant.closed_loop(law=...)``.
+    """Return ``law`` as a controller of ``axis`` at a sampling ``period`` [s], for ``Plant.closed_loop(law=...)``.
 
-    Many laws have a row of gains each.
+    Many laws have one row of gains each.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.plant import Plant
@@ -253,9 +252,9 @@ def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_b
 
 @dataclass(frozen=True)
 class EquivalentLoop:
-    """A cascaded loop and the impedance it stands for, by one criterion.
+    """A cascaded loop and its equivalent impedance, by one criterion.
 
-    ``error(omega)`` is the relative error of its impedance; ``warnings`` say when the equivalent is not safe.
+    ``error(omega)`` is the relative error of its impedance; ``warnings`` say whether the equivalent is unsafe.
     """
 
     mass: float
@@ -273,7 +272,7 @@ class EquivalentLoop:
 
     @property
     def stable(self) -> bool:
-        """Whether there are such gains and the sampled velocity loop with them is stable, with nobody at the hand."""
+        """Whether there are such gains and the sampled velocity loop with them is stable without an operator."""
         return self.largest_pole is not None and self.largest_pole <= 1.0 + MARGINAL
 
     def impedance(self, omega: np.ndarray) -> np.ndarray:
@@ -287,7 +286,7 @@ class EquivalentLoop:
         return np.abs(self.impedance(omega) / target - 1.0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Gains (None where no positive ones exist), criterion, and the error at a few frequencies."""
+        """Gains (None if there are no positive ones), criterion, and the error at a few frequencies."""
         omega = np.array([1.0, 2.0, 5.0, 10.0, BAND])
         return {
             "k_e1": self.k_e1,
@@ -314,11 +313,11 @@ def equivalent_impedance(
     criterion: str = LOW_FREQUENCY,
     mismatch: float = 0.02,
 ) -> EquivalentLoop:
-    """Return the impedance that a cascade of given k_e1 [(m/s)/N], w_v [rad/s] and phi_v [deg] stands for.
+    """Return the impedance equivalent to a cascade with k_e1 [(m/s)/N], w_v [rad/s] and phi_v [deg].
 
     >>> from emps_design.machines import machine
-    >>> found = equivalent_impedance(machine("emps2018"), 0.01, 100.0, 60.0)
-    >>> round(found.mass, 2), found.damping
+    >>> loop = equivalent_impedance(machine("emps2018"), 0.01, 100.0, 60.0)
+    >>> round(loop.mass, 2), loop.damping
     (0.87, 100.0)
     """
     if not math.isfinite(k_e1) or k_e1 <= 0.0:
@@ -338,8 +337,8 @@ def equivalent_loop(
 ) -> EquivalentLoop:
     """Return the cascade equivalent to M_a [kg] and B [N/(m/s)].
 
-    Two numbers leave one of three gains free: it is set by ``input_crossover`` ``k_v1 G_tau/M`` [rad/s], how fast the
-    loop at the plant input may be (default 0.5/period); the faster, the smaller the error. B = 0 has no equivalent:
+    Two numbers leave one of three gains free: it is set by ``input_crossover``, ``k_v1 G_tau/M`` [rad/s] of the loop at
+    the plant input (default 0.5/period); the faster, the smaller the error. B = 0 has no equivalent: it raises
     :class:`SpecificationError`.
 
     >>> from emps_design.machines import machine
@@ -364,7 +363,7 @@ def equivalent_loop(
 
 
 def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tuple[str, ...]:
-    """Say when an impedance is inside the error of the model: necessary are M_a > e M and B > e F_v.
+    """Return warnings if an impedance is within the error of the model: necessary are M_a > e M and B > e F_v.
 
     >>> from emps_design.machines import machine
     >>> safety_words(machine("emps2018"), 50.0, 100.0, 0.02)

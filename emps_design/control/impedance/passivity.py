@@ -149,7 +149,7 @@ def _negative_bands(numerator: np.ndarray, denominator: np.ndarray) -> Bands:
     product = poly.polymul(numerator, flipped)[::2]  # even powers of s: real on the axis
     real_part = poly.polytrim(product * (-1) ** np.arange(len(product)))  # in x = w^2
     roots, scale = _scaled_roots(real_part)
-    edges = np.unique(scale * roots.real[roots.real > 0.0])  # of complex ones too: the sign beside them decides
+    edges = np.unique(scale * roots.real[roots.real > 0.0])  # complex ones too: the signs in between decide
     inside = [edges[0] / 2, *np.sqrt(edges[:-1] * edges[1:]), 2 * edges[-1]] if edges.size else [1.0]
     signs = np.array([poly.polyval(Fraction(float(x)), real_part) < 0 for x in inside])
     ends = np.sqrt([0.0, *edges, np.inf])
@@ -191,9 +191,9 @@ def contact_map(
 ) -> ContactMap:
     """Map coupled stability over hand and wall: ``stiffness`` [N/m] to ground and ``damping`` [N/(m/s)], ``mass`` [kg].
 
-    Default: 0 and 30 stiffnesses from 10 N/m to 10 MN/m (a finger to a steel wall), 0 and 20 dampings to 10 kN/(m/s),
-    for a carriage of 100 kg at 1 kHz, and with another one in proportion to its mass and rate, in powers of ten.
-    A passive wall or hand can only destabilise a law that is not passive. Of two directions of motion the worse counts.
+    Default: 0 and 30 stiffnesses from 10 N/m to 10 MN/m (a finger to a steel wall), 0 and 20 dampings up to
+    10 kN/(m/s), for a carriage of 100 kg at 1 kHz, scaled by mass and sampling rate in powers of ten for another one.
+    A passive wall or hand can only destabilise a law that is not passive. The worse direction of motion counts.
     """
     k, c = (10.0 ** round(math.log10(plant.mass / clock.period**order / 10.0 ** (2 + 3 * order))) for order in (2, 1))
     stiffness = np.concatenate([[0.0], k * np.geomspace(10.0, 1e7, 30)]) if stiffness is None else np.asarray(stiffness)
@@ -201,7 +201,7 @@ def contact_map(
     grid_k, grid_b = np.meshgrid(stiffness, damping)
     hand = Environment(mass, grid_b.ravel(), grid_k.ravel())
     radius = _radius(law, plant, clock, hand).reshape(grid_k.shape)
-    if not np.any(law.stiffness) and np.any(stiffness == 0.0):  # position is free there: its pole at 1 says nothing
+    if not np.any(law.stiffness) and np.any(stiffness == 0.0):  # a free position has a pole at 1, which does not count
         radius[:, stiffness == 0.0] = _radius(law, plant, clock, Environment(mass, damping, 0.0))[:, None]
     return ContactMap(stiffness, damping, mass, radius)
 
@@ -213,10 +213,10 @@ def _radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, touched: Envi
 
 
 def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> float | None:
-    """Largest stiffness [N/m] of an undamped wall up to which every softer one is stable too; None: all up to 1 GN/m.
+    """Largest stiffness [N/m] of an undamped wall below which every wall is stable; None: all up to 1 GN/m.
 
-    From stiffnesses 11 % apart, bisected to 0.1 %; 0 where the softest wall is already unstable: of 1 N/m, or of an
-    axis so light that this is none, of 1e-8 M_a/T^2.
+    Searched on stiffnesses 11 % apart, bisected to 0.1 %; 0 if the softest wall is already unstable: that of 1 N/m, or
+    of 1e-8 M_a/T^2 for a light axis.
     """
     stiffness = np.geomspace(1.0, 1e9, 200)
     softest, apart = 1e-8 * law.mass / clock.period**2, stiffness[1] / stiffness[0]

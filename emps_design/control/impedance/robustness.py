@@ -1,13 +1,12 @@
-"""Which impedance laws are safe: creep and dead band in closed form, stable maps, and the nearest law that is stable.
+"""Robustness of impedance laws: creep and dead band in closed form, stability maps, and the nearest stable law.
 
-A mismatch ``e`` lets each estimate be anything in ``(1 +- e)`` times the plant's number. Coulomb friction moves no
-pole; over-estimated it drives the carriage, ``v = (c Fh_c - F_c) / (B + F_v - Fh_v)`` for ever, under-estimated it
-leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the carriage moving.
+A mismatch ``e`` lets each estimate be any number within ``(1 +- e)`` times the plant's. Coulomb friction moves no pole;
+over-estimated it drives the carriage at the constant speed ``v = (c Fh_c - F_c) / (B + F_v - Fh_v)``, under-estimated
+it leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the carriage moving.
 
-The margins of an impedance law at the plant input, where a force gain that is off, a delay or a slow drive acts.
-
-The law cancels friction and part of the mass by what it believes of them, so a force gain above the one it believes is
-over-compensation: its gain margin is often reached at rest, where the apparent damping vanishes.
+Margins are those at the plant input, where a wrong force gain, a delay or a slow drive acts. The law cancels friction
+and part of the mass by its estimates, so a larger force gain is over-compensation: its gain margin is often reached at
+frequency 0, where the apparent damping vanishes.
 """
 
 from __future__ import annotations
@@ -39,17 +38,17 @@ from emps_design.laws.estimators import TWO_TAP, forgets
 from emps_design.laws.friction_model import PARAMETERS
 from emps_design.laws.linear import linear_law
 
-STEP = 1.05  # between apparent masses that are tried
-MORE_DAMPING = (1.0, 1.5, 2.25)  # times what the law has, or what the mismatch leaves none of
-ALIKE = 0.2  # logarithm of mass and filter, within which a law swings where another one does
-# By rising severity; ``no_motion``: the carriage was not moving when it was let go, so nothing is known of it.
+STEP = 1.05  # ratio of two apparent masses in a search
+MORE_DAMPING = (1.0, 1.5, 2.25)  # factors on the law's damping, or on the least that the mismatch permits
+ALIKE = 0.2  # distance of logarithms of mass and filter within which a law is taken to swing like another
+# By rising severity; ``no_motion``: the carriage was at rest when released, so nothing is known of it.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
 
 SPEED = 0.1  # m/s, of the slide in which effects are linearised
 
 
 def check_mismatch(mismatch: float) -> float:
-    """Return ``mismatch`` as a float; raises :class:`InputError` outside [0, 1), where an estimate turns negative.
+    """Return ``mismatch`` as a float; raise :class:`InputError` outside [0, 1), where an estimate may be negative.
 
     >>> check_mismatch(0.02)
     0.02
@@ -134,7 +133,7 @@ def sinking_force(plant: FrictionModel) -> float:
 def coulomb_factor_without_creep(law: ImpedanceLaw, plant: FrictionModel, mismatch: float) -> float | None:
     """Largest Coulomb compensation factor c with which no law within ``mismatch`` creeps: ``c Fh_c <= F_c``.
 
-    None where a constant force exceeds dry friction: what is too much in one direction is too little in the other.
+    None if a constant force exceeds dry friction: no factor suits both directions.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> round(coulomb_factor_without_creep(ImpedanceLaw(50.0, 100.0, plant), plant, 0.02), 5)
@@ -148,10 +147,10 @@ def coulomb_factor_without_creep(law: ImpedanceLaw, plant: FrictionModel, mismat
 
 
 def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: float = 0.0) -> str:
-    """Say what analysis expects of the released carriage: one of ``VERDICTS``.
+    """Return the analytical verdict on the released carriage: one of ``VERDICTS``.
 
-    Unstable by the poles in either direction; a limit cycle where the recursion in the law's own current is unstable,
-    which kicks the carriage out of rest; else by the sign of :func:`drift_speed` against :func:`drift_threshold`.
+    Unstable by the poles in either direction; a limit cycle if the recursion in the law's own current is unstable,
+    which moves the carriage out of rest; else by :func:`drift_speed` against :func:`drift_threshold`.
     """
     directions = max(plant.directions, law.estimate.directions, key=len)
     if any(not sampled_loop(law, plant, clock, direction).stable for direction in directions):
@@ -166,11 +165,11 @@ def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: f
 
 
 def drift_threshold(period: float, resolution: float, velocity_estimator: Any = TWO_TAP) -> float:
-    """Speed [m/s] below which friction cannot keep a creep up, nor be seen to end it: one encoder step in an estimate.
+    """Speed [m/s] below which friction cannot sustain a creep: one encoder step within the span of a velocity estimate.
 
-    An estimate over one period (backward) or some (two_tap, a slope) that sees no step is 0 and compensates no
-    friction. So a creep of less than one step in that time ends, a faster one goes on. 0.025 mm/s on ``emps2018``,
-    two_tap. An estimate that only decays (filtered, tracking) keeps its sign: no creep ends.
+    An estimate over one period (backward) or several (two_tap, a slope) without a step is 0 and compensates no
+    friction. So a creep of less than one step in that time ends, a faster one continues. 0.025 mm/s on ``emps2018``
+    with two_tap. An estimate that only decays (filtered, tracking) keeps its sign: no creep ends.
     """
     return max(resolution / period / forgets(velocity_estimator), 1e-6)
 
@@ -202,7 +201,7 @@ def worst_radius(
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """Where the law is stable at every corner of a mismatch: ``radius[mismatch, filter, mass]`` of the worst pole."""
+    """Stability of the law at every corner of a mismatch: ``radius[mismatch, filter, mass]`` of the worst pole."""
 
     masses: np.ndarray
     filters: np.ndarray
@@ -236,7 +235,7 @@ def stability_map(
     filters: Any = None,
     mismatches: Sequence[float] = (0.0, 0.02, 0.05),
 ) -> StabilityMap:
-    """Map the stable (M_a, filter, mismatch); ``law`` gives damping, estimator and the rest.
+    """Map stability over (M_a, filter, mismatch); ``law`` gives damping, estimator and the rest.
 
     Default grid: 30 masses from M/100 to 1.5 M, 20 filters from 10 rad/s to just below Nyquist.
     """

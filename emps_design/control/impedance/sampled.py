@@ -1,10 +1,11 @@
-"""The impedance law on a sampled drive: its loop with a plant, alone, in contact, with effects, or a thousand at once.
+"""The impedance law on a sampled drive: its loop with a plant, free, in contact, with effects, or many at once.
 
-The law is the kernel that runs in the drive, in its linear form; friction is viscous here (the carriage slides one
-way), a Coulomb term does not move the poles. While the carriage *sticks*, acceleration is zero whatever the motor does,
-and what is left is the law's recursion in its own current, with gain kappa (r - 1): that loop has poles of its own.
+The law is the kernel that runs in the drive, in its linear form; friction is viscous here (the carriage slides in one
+direction), since a Coulomb term does not move the poles. While the carriage *sticks*, its acceleration is zero, and the
+law's recursion in its own current remains, with gain kappa (r - 1): that loop has poles of its own.
 
-What the hand meets at each frequency: the impedance of the sampled loop, its error, and the relay in the law.
+Impedance and its error are those of the sampled loop at the hand; the relay of the Coulomb compensation is analysed by
+its describing function.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from emps_design.laws.linear import linear_law, own_poles
 
 @dataclass(frozen=True)
 class Clock:
-    """What sampling and drive add: period [s], time constant of the current loop [s], delay [samples]."""
+    """Sampling and drive: period [s], time constant of the current loop [s], delay [samples]."""
 
     period: float
     current_time_constant: float = 0.0
@@ -36,14 +37,14 @@ class Clock:
 
     @classmethod
     def of(cls, axis: Axis) -> Clock:
-        """Read the clock from an axis."""
+        """The clock of an axis."""
         return cls(axis.sampling.period, axis.drive.current_time_constant, axis.sampling.computation_delay)
 
 
 def sampled_loop(
     law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: int = 1, environment: Environment = FREE
 ) -> SampledLoop:
-    """Close the sampled loop of ``law`` on ``plant`` for motion to + or - (``direction``), perhaps in contact.
+    """Close the sampled loop of ``law`` on ``plant`` for motion to + or - (``direction``), free or in contact.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -56,7 +57,7 @@ def sampled_loop(
 
 
 def numbers(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> dict[str, Any]:
-    """The numbers that decide the loop, by name; arrays of equal shape may stand in for any of them."""
+    """Return the parameters of the loop by name; any of them may be replaced by an array, all of one shape."""
     i = 0 if direction > 0 else 1
     acceleration, current = law.filters
     return {
@@ -82,7 +83,7 @@ def sampled_loops(
 ) -> SampledLoop:
     """Close many loops at once: ``n`` as from :func:`numbers`, ``environment``, with arrays (m,) in any of them.
 
-    Forces stand for voltages, G_tau is 1. The input ``coulomb`` is the level of the Coulomb compensation [N].
+    Voltages are forces: G_tau is 1. The input ``coulomb`` is the level of the Coulomb compensation [N].
     """
     rigid = attached(rigid_plant(n["mass"], n["viscous"], 1.0, clock.current_time_constant), environment)
     form = linear_law(
@@ -95,8 +96,7 @@ def sampled_loops(
 def extended_loop(axis: Axis, law: ImpedanceLaw, velocity: float = 0.1) -> SampledLoop:
     """Close the sampled loop of ``law`` on ``axis``, its effects linearised in steady motion at ``velocity`` [m/s].
 
-    The law's model of its current does not know the effects: an actuator that does something else (lag, delay, gain)
-    shows in the poles.
+    The law's model of its current ignores the effects: lag, delay or gain of an actuator appear in the poles.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law

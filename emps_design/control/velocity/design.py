@@ -58,12 +58,12 @@ if TYPE_CHECKING:
 
     from emps_design.control.nested_loops import NestedLoop
 
-CONSTANT = 1e-9  # a pole nearer than this to the unit circle belongs to something that stays as it is
+CONSTANT = 1e-9  # a pole closer than this to the unit circle counts as one at z = 1
 
 
 @dataclass(frozen=True)
 class DifferenceEquation:
-    """The velocity law as it is computed at each sample: its ``kind`` and ``table`` on ``axis``, ready to paste."""
+    """The velocity law as computed at each sample: its ``kind`` and ``table`` on ``axis``, as text to paste."""
 
     axis: Axis
     kind: LawKind
@@ -73,7 +73,7 @@ class DifferenceEquation:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """One assignment a line; where the limit cuts u, the integral does not wind up."""
+        """One assignment per line; with anti-windup where the limit acts on u."""
         return self.kind.equations(self.table, self.axis, self.axis.sampling.period)
 
     def to_dict(self) -> dict[str, Any]:
@@ -105,10 +105,10 @@ def difference_equation(
 def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
     """Return the largest step of the velocity reference [m/s] from rest that keeps the voltage within its limit.
 
-    The voltage's peak is that of the sampled linear loop [V per m/s] plus what dry friction and the constant force
-    take, in the worse direction [V]; behind an actuator that saturates or has a dead zone the limit is what still acts.
-    ``window`` [s] is how long the loop is watched, until its motion has died away: a spring goes on asking for more
-    as the carriage travels. ``loop`` has to be stable.
+    The peak voltage is that of the sampled linear loop [V per m/s] plus the voltage for dry friction and the constant
+    force in the worse direction [V]; with a saturation or a dead zone the limit is the largest acting voltage.
+    ``window`` [s] is the simulated time, until the transient has decayed: with a spring the voltage keeps rising as the
+    carriage travels. ``loop`` must be stable.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -118,8 +118,8 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     (0.0319, 0.494)
     """
     sizes = np.abs(loop.poles)
-    dying = sizes[sizes < 1.0 - CONSTANT]  # a pole on z = 1 (a spring's, a load's in its play) does not die away
-    slowest = float(np.max(dying, initial=1e-3))
+    decaying = sizes[sizes < 1.0 - CONSTANT]  # a pole at z = 1 (a spring's, a load's in its play) does not decay
+    slowest = float(np.max(decaying, initial=1e-3))
     samples = 10 + math.ceil(math.log(1e-4) / math.log(slowest))
     _, _, voltage = loop.step_response(samples)
     peak = float(np.max(np.abs(voltage)))
@@ -137,9 +137,9 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
 
 
 def command_in_a_step(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> float:
-    """Largest command [V] in a step of the reference by ``velocity`` [m/s], with what dry friction takes.
+    """Largest command [V] in a step of the reference by ``velocity`` [m/s], with that for dry friction.
 
-    It is sought in the first two periods of the crossover. ``loop`` has to be stable.
+    It is the largest in the first two periods of the crossover. ``loop`` must be stable.
     """
     samples = max(20, round(4.0 * math.pi / ((loop.margins.crossover or 1.0) * loop.plant.period)))
     dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.gain
@@ -232,7 +232,7 @@ class VelocityLoopDesign:
 
     @cached_property
     def velocity_error(self) -> Margins:
-        """Margins of T_vo, the loop broken at the velocity error: phi_v and w_v of (7), read back from the gains."""
+        """Margins of T_vo, the loop broken at the velocity error: phi_v and w_v of (7), computed from the gains."""
         return _continuous_margins(*self._velocity_error)
 
     @cached_property
@@ -268,7 +268,7 @@ class VelocityLoopDesign:
 
     @property
     def feasible_phase_margin_deg(self) -> tuple[float, float]:
-        """Open interval of phase margins [deg] that gains can give at the crossover asked for, of (7) or the like."""
+        """Open interval of phase margins [deg] that gains can give at the requested crossover, by the closed form."""
         axis, crossover = self.axis, self.requested.get("crossover", self.crossover)
         low, high = self.structure.feasible_phase_margin(axis.mechanics.mass, axis.damping, crossover)
         return float(low), float(high)
@@ -280,12 +280,12 @@ class VelocityLoopDesign:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What the closed forms, ``velocity_error`` and ``plant_input``, leave out beside the sampling."""
+        """What the closed forms of ``velocity_error`` and ``plant_input`` leave out besides the sampling."""
         return left_out(self.axis, self.filters)
 
     @cached_property
     def sampled(self) -> SampledVelocityLoop:
-        """The same gains in the loop as implemented: hold, delays, current loop, effects, velocity estimator."""
+        """The same gains in the sampled loop with hold, delays, current loop, effects and velocity estimator."""
         plant = sample_axis(self.axis, self.velocity, self.filters)
         return SampledVelocityLoop(plant, self.k_v1, self.t_v, self.structure)
 
@@ -340,14 +340,14 @@ class VelocityLoopDesign:
 
     @cached_property
     def nearest_stable(self) -> dict[str, Any]:
-        """The nearest specification whose sampled loop is stable; the request itself where that is."""
+        """The nearest specification with a stable sampled loop; the request itself if that is stable."""
         if self.sampled.stable:
             return dict(self.requested)
         return nearest_that_works(self._pairs, self.requested)
 
     @property
     def nearest_in_words(self) -> str:
-        """:attr:`nearest_stable` for a message, with what it has as implemented."""
+        """:attr:`nearest_stable` as text for a message, with its margins in the sampled loop."""
         return proposal_in_words(self.nearest_stable, self._pairs)
 
     @property
@@ -356,7 +356,7 @@ class VelocityLoopDesign:
 
     @property
     def reason(self) -> str:
-        """Why the design is refused, in one line; empty where the sampled loop is stable."""
+        """The reason why the design is refused, in one line; empty if the sampled loop is stable."""
         if self.sampled.stable:
             return ""
         return (
@@ -365,7 +365,7 @@ class VelocityLoopDesign:
         )
 
     def controller_table(self) -> dict[str, Any]:
-        """The ``[controller]`` table of the axis file that runs this design; what is around it in a cascade stays."""
+        """The ``[controller]`` table of the axis file for this design; the outer loops of a cascade are kept."""
         own = self.axis.controller
         kind, table = velocity_table(
             self.k_v1, self.t_v, self.structure, self.filters, own.velocity_estimator, own.kind == cascade.LAW.name
@@ -374,12 +374,12 @@ class VelocityLoopDesign:
 
     @property
     def axis_that_runs(self) -> Axis:
-        """The axis with this velocity loop in its controller; what is around it in a cascade stays."""
+        """The axis with this velocity loop in its controller; the outer loops of a cascade are kept."""
         return self.axis.replace(controller=self.controller_table())
 
     @cached_property
     def refused(self) -> str:
-        """Why the controller of this design goes into no drive, in one line; empty where all of it is stable."""
+        """The reason why the whole controller is refused, in one line; empty if all its loops are stable."""
         kept = self.kept_loops
         if self.reason or not kept or kept[-1].margins.stable:
             return self.reason
@@ -391,9 +391,9 @@ class VelocityLoopDesign:
 
     @cached_property
     def kept_loops(self) -> tuple[NestedLoop, ...]:
-        """The loops of the axis file's cascade with this velocity loop in it, the whole last; none without a cascade.
+        """The loops of the axis file's cascade with this velocity loop, the whole last; empty without a cascade.
 
-        A position loop made for a faster velocity loop may be unstable around this one.
+        A position loop designed for a faster velocity loop may be unstable around this one.
         """
         from emps_design.control.nested_loops import nested_loops
 
@@ -404,7 +404,7 @@ class VelocityLoopDesign:
 
     @property
     def loop_axis(self) -> Axis:
-        """The axis with this velocity loop alone as its controller, whatever is around it in a cascade."""
+        """The axis with this velocity loop alone as its controller, without the outer loops of a cascade."""
         kind, table = velocity_table(
             self.k_v1, self.t_v, self.structure, self.filters, self.axis.controller.velocity_estimator
         )
@@ -479,13 +479,12 @@ def design_velocity_loop(
     structure: Structure | None = None,
     filters: tuple[Filter, ...] | None = None,
 ) -> VelocityLoopDesign:
-    """Return the velocity loop of ``axis`` that meets a specification, by (7) or what is like it for "pi".
+    """Return the velocity loop of ``axis`` that meets a specification, by (7) or its counterpart for "pi".
 
     Give ``crossover`` [rad/s] of T_vo or ``bandwidth`` [rad/s], the -3 dB of T_vc, not both; ``phase_margin_deg`` is
-    that of T_vo. ``velocity`` [m/s]: where the effects of the axis are linearised for the sampled loop. ``structure``
-    and ``filters`` are those of the axis's controller where they are None.
-    Raises :class:`InputError` for a specification that cannot be meant, :class:`SpecificationError` for one that no
-    gains can meet, with the nearest pair that works.
+    that of T_vo. The effects of the axis are linearised at ``velocity`` [m/s] for the sampled loop. ``structure`` and
+    ``filters`` None: those of the axis's controller. Raises :class:`InputError` for an invalid specification,
+    :class:`SpecificationError` for one that no gains can meet, with the nearest pair that works.
 
     >>> from emps_design.machines import machine
     >>> by_bandwidth = design_velocity_loop(machine("emps2018"), bandwidth=159.898, phase_margin_deg=60.0)

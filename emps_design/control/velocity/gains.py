@@ -46,7 +46,7 @@ def feasible_phase_margin(mass: float, viscous: float, crossover: Any) -> tuple[
 def velocity_gains(
     mass: float, viscous: float, force_gain: float, crossover: float, phase_margin_deg: float
 ) -> tuple[float, float]:
-    """Return k_v1 [V/(m/s)] and t_v [s] that put the crossover and the phase margin of T_vo where asked, (7).
+    """Return k_v1 [V/(m/s)] and t_v [s] for a crossover and a phase margin of T_vo, (7).
 
     ``mass`` [kg], ``viscous`` [N/(m/s)], ``force_gain`` [N/V], ``crossover`` [rad/s], ``phase_margin_deg`` [deg]
     inside :func:`feasible_phase_margin`; :class:`SpecificationError` outside.
@@ -122,7 +122,7 @@ def positive_root(a: Any, b: Any, c: Any) -> Any:
 
 
 def crossover_of_bandwidth(bandwidth: Any, phase_margin_deg: Any) -> Any:
-    """Return the crossover [rad/s] whose closed loop has the -3 dB ``bandwidth`` [rad/s] at that phase margin.
+    """Return the crossover [rad/s] for a -3 dB ``bandwidth`` [rad/s] of the closed loop and a phase margin [deg].
 
     >>> round(float(crossover_of_bandwidth(159.898, 60.0)), 2)
     100.0
@@ -131,7 +131,7 @@ def crossover_of_bandwidth(bandwidth: Any, phase_margin_deg: Any) -> Any:
 
 
 def binding_limit(phase_margin_deg: float) -> str:
-    """Say which end of the feasible range a phase margin [deg] outside it violates.
+    """Return which end of the feasible range a phase margin [deg] outside it violates.
 
     >>> binding_limit(90.0)
     'the upper limit binds, at 90 deg k_v1 is infinite'
@@ -143,9 +143,9 @@ def binding_limit(phase_margin_deg: float) -> str:
 
 @dataclass(frozen=True)
 class Structure:
-    """One structure: its ``form``, "ip" or "pi", and whether a reference filter 1/(1 + t_v s) comes before a "pi".
+    """One structure: its ``form``, "ip" or "pi", and whether a reference filter 1/(1 + t_v s) precedes a "pi".
 
-    Arrays in the place of numbers give as many answers.
+    The methods take arrays in place of numbers.
 
     >>> K, t_v = PI.gains(2.0, 1.0, 10.0, 45.0)
     >>> round(float(abs(K * (1 + 1 / (t_v * 10j)) / (2.0 * 10j + 1.0))), 9)
@@ -163,21 +163,21 @@ class Structure:
 
     @property
     def label(self) -> str:
-        """The structure in a word or two."""
+        """Short name of the structure."""
         return f"{self.form.upper()}{' with reference filter' if self.reference_filter else ''}"
 
     @property
     def largest_phase_margin(self) -> float:
-        """The phase margin [deg] from which on no plant has gains, at any crossover."""
+        """The phase margin [deg] from which no plant has gains, at any crossover."""
         return 90.0 if self.form == "ip" else 180.0
 
     @property
     def as_computed(self) -> Structure:
-        """The structure whose law computes the same, sample by sample: PI behind its reference filter is IP."""
+        """The structure of the equivalent law, sample by sample: PI with its reference filter is IP."""
         return IP if self.reference_filter else self
 
     def place(self, at: str) -> str:
-        """The place, one of ``PLACES``, having the loop broken ``at``: with "pi" both have that of the plant input."""
+        """The equivalent of the break point ``at``, one of ``PLACES``: with "pi" both are the plant input."""
         return PLACES[0] if self.form == "pi" else at
 
     def zero(self, t_v: Any) -> Any:
@@ -196,7 +196,7 @@ class Structure:
         return low, high if self.form == "ip" else high + low
 
     def binding_limit(self, phase_margin_deg: float) -> str:
-        """Say which end of the feasible range a phase margin [deg] outside it violates."""
+        """Return which end of the feasible range a phase margin [deg] outside it violates."""
         if self.form == "pi" and phase_margin_deg >= 90.0:
             return "the upper limit binds, at 90 deg and atan(F_v/(M w)) more the integral action is gone"
         return binding_limit(phase_margin_deg)

@@ -33,7 +33,7 @@ def retuned_gains(
     """Return k_v1 [V/(m/s)] and t_v [s] for the sampled ``plant``, NaN where they would not be positive.
 
     ``crossover`` [rad/s] and ``phase_margin_deg`` [deg] are those of the sampled loop broken ``at`` "plant-input" or
-    "velocity-error"; they broadcast. Whether the loop is stable with the gains is for its poles to say.
+    "velocity-error"; they broadcast. The gains do not ensure stability: check the poles.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2018"))
@@ -66,11 +66,11 @@ def retune_velocity_loop(
     structure: Structure | None = None,
     filters: tuple[Filter, ...] | None = None,
 ) -> VelocityLoopDesign:
-    """Return the design whose *sampled* loop has the phase margin and the crossover, or the -3 dB bandwidth, asked for.
+    """Return the design whose *sampled* loop has a given phase margin and a given crossover or -3 dB bandwidth.
 
-    Arguments as :func:`~emps_design.control.velocity.design.design_velocity_loop`, and ``at``, the place where the
-    loop is broken. :class:`SpecificationError` where no positive gains do it, or the loop with them is unstable, or
-    another crossover has less phase margin.
+    Arguments as for :func:`~emps_design.control.velocity.design.design_velocity_loop`, and ``at``, the place where the
+    loop is broken. Raises :class:`SpecificationError` if no positive gains meet it, if the loop with them is unstable,
+    or if another crossover has less phase margin.
 
     >>> from emps_design.machines import machine
     >>> design = retune_velocity_loop(machine("emps2018"), crossover=150.0, phase_margin_deg=50.0)
@@ -108,11 +108,11 @@ def retune_velocity_loop(
 
 
 def retuned_pairs(plant: SampledPlant, requested: dict[str, float], at: str, structure: Structure = IP) -> Pairs:
-    """Return the pairs like ``requested`` that the sampled loop of ``plant`` broken ``at`` can have.
+    """Return the pairs of the kind ``requested`` with gains for the sampled loop of ``plant`` broken ``at``.
 
     >>> from emps_design.machines import machine
-    >>> asked = {"bandwidth": 50.0, "phase_margin_deg": 60.0}
-    >>> pairs = retuned_pairs(sample_axis(machine("emps2018")), asked, "plant-input")
+    >>> requested = {"bandwidth": 50.0, "phase_margin_deg": 60.0}
+    >>> pairs = retuned_pairs(sample_axis(machine("emps2018")), requested, "plant-input")
     >>> pairs.judge(np.array([50.0, 60.0]), np.array([60.0, 60.0])).tolist()
     [2, 0]
     """
@@ -130,7 +130,7 @@ def retuned_pairs(plant: SampledPlant, requested: dict[str, float], at: str, str
     def passes(w: np.ndarray, phase: np.ndarray) -> np.ndarray:
         if at == "velocity-error" or structure.form == "pi":
             return w
-        # An ideal plant has there t_v w = tan(phase), and its closed loop passes about 1/t_v.
+        # With an ideal plant t_v w = tan(phase) there, and the closed-loop bandwidth is about 1/t_v.
         return w * np.clip(1.0 / np.tan(np.radians(phase)), 0.01, 1.0)
 
     return Pairs(plant, lambda w, phase: retuned_gains(plant, w, phase, place), passes, at, structure=structure)
@@ -145,8 +145,8 @@ def bandwidth_gains(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return k_v1 [V/(m/s)] and t_v [s] of the sampled loops with that -3 dB ``bandwidth`` [rad/s], NaN for none.
 
-    With the crossover the bandwidth first rises and then falls, as the plant's lag leaves less and less room for the
-    integral action; the slowest stable loop that reaches it is taken. Arrays (n,).
+    With rising crossover the bandwidth first rises and then falls, since the plant's lag leaves ever less phase for the
+    integral action; the slowest stable loop with that bandwidth is taken. Arrays (n,).
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2018"))

@@ -145,7 +145,7 @@ class SampledVelocityLoop:
         return self.controller_response(w) * self.plant.response(w)
 
     def delayed_response(self, w: np.ndarray, delay: np.ndarray) -> np.ndarray:
-        """Open loop at the plant input at ``w`` [rad/s] with ``delay`` [s] more, arrays alike."""
+        """Open loop at the plant input at ``w`` [rad/s] with an additional ``delay`` [s], arrays of one shape."""
         return self.controller_response(w) * self.plant.delayed_response(w, delay)
 
     def controller_response(self, w: np.ndarray) -> np.ndarray:
@@ -183,7 +183,7 @@ class SampledVelocityLoop:
     def velocity_error(self) -> Margins:
         """Margins of the loop broken at the velocity error; undefined while the inner proportional path is unstable.
 
-        A "pi" has no inner path: there they are those at the plant input.
+        A "pi" has no inner path: its margins are those at the plant input.
         """
         if self.structure.form == "pi":
             return self.margins
@@ -212,7 +212,7 @@ class SampledVelocityLoop:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Instability first, then what the linear loop leaves out and what is unbounded."""
+        """Warnings: instability first, then what the linear loop leaves out and unbounded margins."""
         warnings = (
             []
             if self.stable
@@ -262,9 +262,9 @@ class SampledVelocityLoop:
 def velocity_law(
     plant: SampledPlant, k_v1: float, t_v: float, structure: Structure = IP, k_e1: float | np.ndarray = 0.0
 ) -> LinearLaw:
-    """The law of a velocity loop with the estimator and the filters of ``plant`` in its linear form.
+    """Return the linear form of a velocity law with the estimator and the filters of ``plant``.
 
-    ``k_e1`` [(m/s)/N]: the measured force adds to the velocity reference; an array (m,) makes m laws.
+    ``k_e1`` [(m/s)/N] times the measured force adds to the velocity reference; an array (m,) gives m laws.
     """
     kind, table = velocity_table(k_v1, t_v, structure, plant.filters, plant.estimator)
     law = linear_law(kind.law(table, None, plant.period), plant.period)
@@ -283,9 +283,9 @@ def velocity_table(
     estimator: Any = TWO_TAP,
     in_a_cascade: bool = False,
 ) -> tuple[LawKind, LawTable]:
-    """The kind of law that a velocity loop is, and its table: the paper's own where that has all of it, or a cascade.
+    """Return the kind of a velocity law and its table: the paper's law if it can hold it, otherwise a cascade.
 
-    ``in_a_cascade`` asks for the latter.
+    ``in_a_cascade`` forces the latter.
     """
     own: dict[str, Any] = {"velocity_estimator": estimator}
     if structure.form == "ip" and not filters and not in_a_cascade:
@@ -296,13 +296,13 @@ def velocity_table(
 
 @dataclass(frozen=True)
 class LaggedVelocityLoop:
-    """Given gains in the continuous loop with all lags: ``k_v1`` [V/(m/s)], ``t_v`` [s], ``delay`` [s] of the command.
+    """The continuous velocity loop with all lags: ``k_v1`` [V/(m/s)], ``t_v`` [s], ``delay`` [s] of the command.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
-    >>> found = design.with_lags.velocity_error  # 0.5 ms of current loop
-    >>> round(found.phase_margin_deg, 1), round(found.gain_margin, 1)
+    >>> margins = design.with_lags.velocity_error  # 0.5 ms of current loop
+    >>> round(margins.phase_margin_deg, 1), round(margins.gain_margin, 1)
     (58.7, 17.4)
     """
 

@@ -1,14 +1,10 @@
 """Run the baseline ``M dv/dt = tau - F_v v - offset - F_c S(v)`` under ``position_pd``.
 
 The period is that of :mod:`friction_period` with an ideal current loop. :func:`run_plain` steps sample by sample;
-:func:`run_folded` folds controller and motion into one affine map for as long as the carriage slides and the voltage
-is inside its limit.
-
-Many baseline plants side by side under ``position_pd``: 32 lanes per step, metrics only.
-
-The arithmetic is that of :func:`~emps_design.simulation.kernels.baseline.run_plain`. All lanes slide in one vector
-loop; a lane whose velocity reaches zero in this period, or is at rest, is stepped again alone. Lanes never share
-anything, so the numbers of a plant do not depend on its neighbours.
+:func:`run_folded` combines controller and motion into one affine map while the carriage slides and the voltage is
+within its limit. :func:`run_lanes` computes metrics of many plants, 32 lanes per step, with the arithmetic of
+:func:`run_plain`: all lanes slide in one vector loop; a lane whose velocity reaches zero in the period, or is at rest,
+is stepped again alone. Lanes share nothing, so the numbers of a plant do not depend on its neighbours.
 """
 
 from __future__ import annotations
@@ -32,7 +28,7 @@ METRICS = 5  # columns of the result
 
 @part
 def swing(volts, k, period, swings):
-    """Count how often in a row the voltage swings from one limit to the other within 0.2 s; 40 times: unstable.
+    """Count consecutive swings of the voltage from one limit to the other within 0.2 s; 40 mean unstable.
 
     ``swings`` = (last side, count, sample of the last swing).
     """
@@ -46,9 +42,9 @@ def swing(volts, k, period, swings):
 
 @cached()
 def run_plain(b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, tally):
-    """Close the loop of ``position_pd`` sample by sample; returns the number of good samples, or -1 - k.
+    """Close the loop of ``position_pd`` sample by sample; returns the number of valid samples, or -1 - k.
 
-    The latter where the loop is unstable: at sample k the voltage has swung between its limits 40 times.
+    The latter means an unstable loop: at sample k the voltage has swung between its limits 40 times.
 
     ``start`` = (q0, v0); ``delay`` whole samples; ``push`` [N] and ``noise`` [V] empty or one value per sample; the
     arrays behind them are filled.
@@ -129,7 +125,7 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
                 drive = proportional * reference[k] + damping * (older if two_tap else last)
                 volts = drive - both * q
                 other = constant - push[k] if push.size else constant
-                # The next state is one product and one sum behind this one; the rest does not wait for it.
+                # The next state needs one product and one sum of this one; the rest does not depend on it.
                 new = v * e + (v_q * q + (v_u * drive - m1 * other))
                 if not (s * new > 0.0 and abs(volts) <= limit):
                     break

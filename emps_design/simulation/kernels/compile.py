@@ -1,9 +1,9 @@
-"""Compile the kernels of effects and controllers, one at a time, and call them by address from compiled code.
+"""Compile the kernels of effects and controllers one by one, and call them by address from compiled code.
 
 A kernel becomes a C callback of fixed signature. The steppers receive the *addresses* of the kernels in an array, so a
-new combination of effects compiles nothing; each kernel is cached on disk for itself and compiled again when its own
-file changes. The steppers themselves share code across files, which numba's cache does not see: :func:`cached` makes
-their cache depend on the content of every file they are built from.
+new combination of effects needs no compilation; each kernel is cached on disk and compiled again when its own file
+changes. The steppers share code across files, which numba's cache ignores: :func:`cached` makes their cache depend on
+the content of every file they are built from.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def _with_compiled_neighbours(function: Callable[..., Any]) -> Callable[..., Any
 
 
 def built_in(function: Callable[..., Any]) -> Any:
-    """The kernel ``function`` as a part of a stepper that is made for it, in place of a call by address."""
+    """The kernel ``function`` inlined into a stepper, instead of a call by address."""
     return njit(forceinline=True, **_OPTIONS)(_with_compiled_neighbours(function))
 
 
@@ -127,7 +127,7 @@ def cached(contract: bool = False) -> Callable[[Callable[..., Any]], Any]:
 
 
 def source_files(function: Callable[..., Any]) -> set[Path]:
-    """Files of ``function``, of this module, and of every compiled part that is called, however far down."""
+    """Files of ``function``, of this module, and of every compiled function that it calls, directly or not."""
     files, open_ends = {Path(__file__)}, [function]
     visited = set()
     while open_ends:
@@ -148,10 +148,10 @@ def source_files(function: Callable[..., Any]) -> set[Path]:
     return files
 
 
-# A piece of a stepper: compiled into whatever calls it, cached with that. Divisions by a constant, or several by the
-# same number, may become products with its reciprocal: a division takes as long as five of them. The inlined ones are
-# called in every sample: a call hands its results over in memory. In the fused ones a product and a sum may be rounded
-# once; where and whether differs from stepper to stepper, so no piece is fused that is to round alike in several.
+# A part of a stepper: compiled into its callers and cached with them. Divisions by a constant, or several by the same
+# number, may become products with its reciprocal: a division takes as long as five of them. The inlined ones are called
+# in every sample: a call passes its results in memory. In the fused ones a product and a sum may be rounded once; where
+# this happens differs from stepper to stepper, so a part that must round alike in several is not fused.
 part = njit(fastmath={"arcp"}, **_OPTIONS)
 inlined = njit(inline="always", **_OPTIONS)
 fused = njit(fastmath={"arcp", "contract"}, **_OPTIONS)
@@ -168,7 +168,7 @@ def _call(builder: Any, place: Any, result: Any, arguments: list[Any]) -> Any:
 
 @intrinsic
 def pointer(typingctx, array):
-    """The data of a contiguous array, without its reference count: whoever calls a stepper keeps the arrays alive."""
+    """The data of a contiguous array, without its reference count: the caller of a stepper keeps the arrays alive."""
 
     def generate(context, builder, signature, arguments):
         return context.make_array(signature.args[0])(context, builder, arguments[0]).data

@@ -1,4 +1,4 @@
-"""One hold period of the friction plant, exactly: two-quadrant friction, a first-order current loop or an ideal one.
+"""Exact solution of one hold period of the friction plant: two-quadrant friction, first-order or ideal current loop.
 
 ``M qdd = tau + push - F_v qd - L S(qd)``, ``T_c dtau/dt = c - tau`` with command c and push held. A period of sliding
 is linear and has a closed form; one in which the velocity reaches zero is cut there, at the zero of that form. At rest
@@ -15,7 +15,7 @@ import math
 from emps_design.simulation.kernels.compile import inlined, part
 
 REVERSAL, STICK, BREAKAWAY, GUARDED = range(4)  # kinds of events that are recorded
-_STOPS = 32  # followed within one period
+_STOPS = 32  # most stops within one period
 
 
 @part
@@ -31,7 +31,7 @@ def note(events, tally, time, kind, place):
 
 @part
 def response(s, mass, viscous, lag):
-    """Factors of v0, d and f in v(s) and in q(s) - q0, with d = tau0 - c, f = c + push - L; last, what is left of d."""
+    """Factors of v0, d and f in v(s) and in q(s) - q0, with d = tau0 - c, f = c + push - L; last, the decay of d."""
     a = viscous / mass
     x = a * s
     ea = math.exp(-x)
@@ -78,7 +78,7 @@ def _acceleration(s, v, d, f, mass, viscous, lag):
 
 @part
 def _zero(lo, hi, side, v0, d, f, mass, viscous, lag):
-    """Time in (lo, hi] at which side * v falls through zero; side * v(lo) > 0 >= side * v(hi). Newton in a bracket."""
+    """Time in (lo, hi] at which side * v crosses zero; side * v(lo) > 0 >= side * v(hi). Newton with a bracket."""
     tiny = 4e-16 * hi
     s = 0.5 * (lo + hi)
     for _ in range(100):
@@ -99,7 +99,7 @@ def _zero(lo, hi, side, v0, d, f, mass, viscous, lag):
 
 @part
 def _extremum(rest, v0, d, f, mass, viscous, lag):
-    """Time in (0, rest) at which the acceleration changes its sign; it does so once."""
+    """Time in (0, rest) at which the acceleration changes its sign; it does so exactly once."""
     a, b = viscous / mass, 1.0 / lag
     if abs(b - a) * rest > 1e-3:  # M dv/dt = P exp(-a s) + Q exp(-b s)
         q = d * b / (b - a)
@@ -122,7 +122,7 @@ def _extremum(rest, v0, d, f, mass, viscous, lag):
 
 @part
 def _first_zero(rest, side, v0, d, f, mass, viscous, lag):
-    """Time in (0, rest] at which sliding towards ``side`` ends, or -1. The velocity has at most one extremum."""
+    """Time in (0, rest] at which sliding in direction ``side`` ends, or -1. The velocity has at most one extremum."""
     v1 = _velocity(rest, v0, d, f, mass, viscous, lag)
     if lag == 0.0:  # monotone
         if side * v1 > 0.0:
@@ -146,7 +146,7 @@ def _first_zero(rest, side, v0, d, f, mass, viscous, lag):
 
 @part
 def follow(q, v, tau, command, push, span, friction, t, events, tally):
-    """Position, velocity and motor force after ``span`` seconds from ``t``; every stop is followed and recorded."""
+    """Position, velocity and motor force after ``span`` seconds from ``t``, through every stop, which is recorded."""
     mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction
     rest, side, came = span, 0.0, 0.0
     if lag == 0.0:
@@ -162,7 +162,7 @@ def follow(q, v, tau, command, push, span, friction, t, events, tally):
                 note(events, tally, t + span - rest, STICK if side == 0.0 else REVERSAL, q)
             elif side != 0.0:
                 note(events, tally, t, BREAKAWAY, q)
-            if side == 0.0:  # sticks, perhaps until the force leaves the friction's reach
+            if side == 0.0:  # sticks, at most until the force exceeds friction
                 bound = coulomb_p - push if command > tau else -coulomb_n - push
                 wait = rest
                 if lag > 0.0 and (command > bound if command > tau else command < bound):
@@ -177,7 +177,7 @@ def follow(q, v, tau, command, push, span, friction, t, events, tally):
         viscous = viscous_p if side > 0.0 else viscous_n
         d = tau - command
         f = command + push - (coulomb_p if side > 0.0 else -coulomb_n)
-        # From rest, with a force that grows from the friction's bound on: the velocity has no zero left.
+        # From rest, with a force that grows beyond friction: the velocity has no further zero.
         s = -1.0 if leaves else _first_zero(rest, side, v, d, f, mass, viscous, lag)
         stops = s >= 0.0
         if not stops:
@@ -193,16 +193,16 @@ def follow(q, v, tau, command, push, span, friction, t, events, tally):
         if rest <= 0.0:
             note(events, tally, t + span, STICK, q)
             return q, v, tau
-    # More stops than that in one period: the carriage rests for what is left of it.
+    # More stops in one period: the carriage rests for the remaining time.
     return q, 0.0, command + (tau - command) * math.exp(-rest / lag) if lag > 0.0 else command
 
 
 @inlined
 def slid(s, q, v, d, command, push, span, factors, mass, viscous, level, lag):
-    """Whether the carriage slides in direction ``s`` through all of ``span``, and position and velocity if so.
+    """Return whether the carriage slides in direction ``s`` through all of ``span``, and position and velocity if so.
 
-    ``level`` is the dry friction with the sign of ``s``. The velocity has to end with its sign, and the smallest force
-    on the way must not take it to zero.
+    ``level`` is the dry friction with the sign of ``s``. The velocity must keep its sign at the end, and the smallest
+    force on the way must not bring it to zero.
     """
     v_v, v_d, v_f, q_v, q_d, q_f, kept = factors
     f = command + push - level
@@ -220,7 +220,7 @@ def sticks(d, command, push, coulomb_p, coulomb_n):
 
 @inlined
 def advance(q, v, tau, command, push, span, forward, backward, friction, t, events, tally):
-    """The same, with ``forward`` and ``backward`` the :func:`response` to ``span``: a slide costs no exponential."""
+    """:func:`follow` with the :func:`response` to ``span`` in either direction, so a slide needs no exponential."""
     mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction
     d = tau - command if lag > 0.0 else 0.0
     if v > 0.0:
@@ -238,7 +238,7 @@ def advance(q, v, tau, command, push, span, forward, backward, friction, t, even
 
 @inlined
 def uneventful(q, v, tau, command, push, span, forward, backward, friction):
-    """The same without a branch, as long as nothing happens; returns whether nothing does, and what :func:`advance`."""
+    """:func:`advance` without branches, valid without an event; returns whether there is none, then the same."""
     mass, viscous_p, viscous_n, coulomb_p, coulomb_n, lag = friction
     d = tau - command if lag > 0.0 else 0.0
     s, factors, viscous, level = (

@@ -1,14 +1,13 @@
-"""Run an axis with any effects: sample, control, hold, and move it through every hold period.
+"""Run an axis with any effects: sample, control, hold, and step it through every hold period.
 
-A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is stepped exactly where
-the effects leave the friction plant as it is (:mod:`friction_period`) or are affine in the motion, by pieces or beside
-forces that are smooth (:mod:`linear_period`), in one slide where they have no own states but memories of the path and
-nothing jumps (:mod:`smooth_period`), or from event to event (:mod:`event_steps`), whichever is the first that can.
+A period is cut where a delayed voltage arrives and where a kernel jumps in time. Each piece is solved by the first
+method that applies: exactly if no effect changes the friction plant (:mod:`friction_period`); exactly if the effects
+are affine in the motion, by pieces, perhaps with additional smooth forces (:mod:`linear_period`); in one slide if they
+have no own states but memories of the path and nothing jumps (:mod:`smooth_period`); or from event to event
+(:func:`carry`).
 
-Carry the axis over a span of one command, from event to event.
-
-Friction stays set-valued: motion has a direction ``s`` of +1 or -1 and at rest ``s = 0``. Velocity zeros, break-away
-and guards end a step, so that no step crosses a kink; at a guard where a force jumps the steps shorten until one of
+Friction is set-valued: motion has a direction ``s`` of +1 or -1, and at rest ``s = 0``. Velocity zeros, break-away and
+guards end a step, so that no step crosses a kink; at a guard where a force jumps the steps get shorter until one of
 1e-13 s crosses it.
 """
 
@@ -94,10 +93,10 @@ from emps_design.simulation.kernels.motion import (
 )
 from emps_design.simulation.kernels.smooth_period import SPEEDS, begin, feeling, slide
 
-DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # what :func:`carry` can end with
+DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # status of :func:`carry`
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
-RUNAWAY, MASSLESS = 4, 5  # what a run can end with, besides what :func:`carry` can
+RUNAWAY, MASSLESS = 4, 5  # further status of a run
 REASONS = {
     DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
     NO_STEP: "no step is short enough for the tolerance",
@@ -128,7 +127,7 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
     while span - done > INSTANT:
         now = t + done
         rest = span - done
-        if s == 0.0 and not free:  # whether friction holds is asked where a step ends: the force must not turn within
+        if s == 0.0 and not free:  # friction is checked at the end of a step: the force must not turn within it
             rest = min(rest, turning(now, plant))
         at = clipped(now, bounds)
         h = rest
@@ -237,13 +236,13 @@ def run(
     ``arrays`` = (baseline, table of hooks, start of each row of the table, parameters, settings); ``law`` is the
     address of the controller, 0: the reference is the voltage; ``gains`` have one row, or one a sample. ``push`` [N]
     and ``noise`` [V] are empty or one value a sample, ``motor_rows`` empty or a row a sample of the motor's gain and
-    what its back-EMF brakes; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are the
-    sizes below which own states need not be known relatively. ``out`` has a row each for encoder, position, velocity,
+    the braking of its back-EMF; column i of ``signals`` is written to ``p[slots[i]]`` at every sample. ``floors`` are
+    the absolute tolerances of the own states. ``out`` has a row each for encoder, position, velocity,
     voltage and external force, ``events`` three columns; both are filled. ``tally`` = (events so far, room for them).
     ``scratch`` has room for :func:`room` numbers.
     """
     # Pointers from here on: arrays in tuples would be counted, at ten times the cost of the arithmetic.
-    drive = pointer(scratch)  # gap of motor force and command, since when, what a slide keeps; the same of a second lag
+    drive = pointer(scratch)  # gap of motor force and command, its time, factors of a slide; the same of a second lag
     plant = (
         pointer(arrays[0]), pointer(arrays[1]), pointer(arrays[2]), pointer(arrays[3]), pointer(arrays[4]), drive
     )  # fmt: skip
@@ -273,7 +272,7 @@ def run(
     error_alone = settings[ERROR_ALONE] > 0.0
     slides, steady = settings[SLIDES] > 0.0, settings[SLIDES] > 1.0
     exact, lagged = settings[EXACT] > 0.0, settings[LAG] > 0.0
-    # One lag behind another is the sum of both alone, in shares: the partial fractions of 1/((1 + T s)(1 + T' s)).
+    # Two lags in series are a weighted sum of both: the partial fractions of 1/((1 + T s)(1 + T' s)).
     twice, share = settings[BEHIND] > 0.0, 1.0
     if twice:
         share = settings[LAG] / (settings[LAG] - settings[BEHIND])
@@ -307,7 +306,7 @@ def run(
         position[k], velocity[k] = y[0], y[1]
         measured = y[0] + total(SENSOR, y_, t, tau, plant) if senses else y[0]
         if resolution > 0.0:
-            if not abs(measured) < np.inf:  # a way out of its own, lest the division be done for an exact encoder too
+            if not abs(measured) < np.inf:  # a separate return, so that an exact encoder needs no division
                 return DIVERGED, k, 0.0
             measured = encoded(measured, resolution)
         encoder[k] = measured
@@ -439,7 +438,7 @@ def run(
                 more = others_at(y_, t + end, tau, s, plant)
                 if whole_period and came == s and others[0] > 0.0:
                     learn(more, h, others)
-                else:  # they are others in the other direction, and may have jumped
+                else:  # after a change of direction or a jump the extrapolation starts anew
                     others[0], others[1], others[2], others[3] = 1.0, more, 0.0, 0.0
             else:
                 others[0] = 0.0

@@ -1,6 +1,6 @@
-"""The force that a motion needs, by the effects' own kernels: the inverse dynamic model, compiled.
+"""The inverse dynamic model, compiled: the force that a motion needs, by the effects' own kernels.
 
-``tau = (M + inertia) a + F_v v + offset + force + max(0, F_c + dry) s``, s the direction; solved by repetition where a
+``tau = (M + inertia) a + F_v v + offset + force + max(0, F_c + dry) s``, s the direction; solved by iteration if a
 kernel reads the motor force. :func:`emps_design.model.plant_force` is the same in Python, with states and time.
 """
 
@@ -18,7 +18,7 @@ from emps_design.simulation.kernels.compile import address, cached, call_kernel,
 FORCE, DRY, INERTIA = range(3)  # rows of the table: the hooks ADDED
 _call: Any = call_kernel
 _place: Any = pointer
-PASSES, SETTLED = 100, 1e-10  # of a force that depends on itself, and N between two passes
+PASSES, SETTLED = 100, 1e-10  # iterations of a force that depends on itself, and convergence [N]
 
 
 @part
@@ -34,7 +34,7 @@ def summed(row, q, v, tau, nothing, b, hooks, starts, p):
 def force_along(q, v, a, direction, own, b, hooks, starts, p, nothing, force):
     """Fill ``force`` (n,) [N] for the motion ``q``, ``v``, ``a`` and ``direction`` (n,), -1 to 1.
 
-    ``own`` is the baseline that counts, ``b`` the one that the kernels are given.
+    ``own`` is the baseline of the force, ``b`` the one that the kernels read.
     """
     b_, hooks_, starts_, p_, nothing_ = _place(b), _place(hooks), _place(starts), _place(p), _place(nothing)
     for k in range(q.size):
@@ -52,7 +52,7 @@ def force_along(q, v, a, direction, own, b, hooks, starts, p, nothing, force):
 
 
 def table(effects: Sequence[Effect]) -> tuple[np.ndarray, np.ndarray]:
-    """Addresses of the hooks with the places of their parameters, and where each kind of hook begins."""
+    """Return the addresses of the hooks with the places of their parameters, and the start of each kind of hook."""
     places = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
     rows = []
     for hook in ADDED:

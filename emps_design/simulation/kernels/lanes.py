@@ -1,7 +1,7 @@
-"""Plants side by side: the numbers of many in rows, a lane for each plant, as vector instructions read them.
+"""Plants in parallel: the numbers of many plants in rows, one lane per plant, in the layout of vector instructions.
 
-A kernel that is given a lane in place of an array works on the numbers of one plant; of a loop over the lanes the
-compiler makes instructions that do it for several at once.
+A kernel that gets a lane in place of an array works on the numbers of one plant; the compiler vectorises a loop over
+the lanes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 def room(rows: int) -> np.ndarray:
-    """Zeros (``rows``, LANES) that begin where a line of the processor's cache does: no vector lies across two."""
+    """Return zeros (``rows``, LANES) aligned with the cache lines of the processor, so that no vector spans two."""
     padded = np.zeros(rows * LANES + _LINE)
     first = -padded.ctypes.data // padded.itemsize % _LINE
     return padded[first : first + rows * LANES].reshape(rows, LANES)

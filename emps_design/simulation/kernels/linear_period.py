@@ -1,13 +1,12 @@
-"""Slide through a hold period on the exact solution of what is affine in position, velocity and own states.
+"""Slide through a hold period with the exact solution of forces that are affine in position, velocity and own states.
 
-Between two events such an axis is ``dz/dt = A z`` with z = [q, v, own states ..., what the motor force lacks of its
-command, force, 1, slope and curve of the force], and its solution one matrix for each direction of motion and each
-piece: within a range of one own state, above it, and below it. A comes from the forces themselves: the derivative of
-the state, taken at one step after the other.
+Between two events such an axis is ``dz/dt = A z`` with z = [q, v, own states ..., gap of the motor force to its
+command, force, 1, slope and curve of the force], and its solution is one matrix for each direction of motion and each
+piece: within a range of one own state, above it, and below it. A is computed from the forces by differences.
 
-Other forces on the carriage that are smooth on its way, and depend on nothing but that way and time, follow from what
-they were: a parabola of time leads to the end of a period, and what they are there bends it (a multistep method of
-Adams in Nordsieck's form, for the forces only).
+Other forces on the carriage that are smooth, and depend on motion and time alone, are extrapolated: a parabola of time
+predicts them to the end of a period, and their value there corrects it (an Adams multistep method in Nordsieck's form,
+for the forces only).
 """
 
 from __future__ import annotations
@@ -36,12 +35,12 @@ from emps_design.simulation.kernels.motion import (
 MORE = 5  # numbers of z besides the state
 WITHIN, ABOVE, BELOW = range(3)  # pieces
 PIECES = 3
-OTHERS = 4  # numbers of what is known of the other forces: how well, the force, its slope and its curve
-_KNOWN = 2.0  # well enough to lead on
-_TURN = 0.5  # rad, of the fastest motion in one part of a period: the velocity is all but a parabola there
-_PARTS = 16  # of a period at most; an axis stiffer than that is stepped
-_TERMS = 20  # of Taylor's series, for half a turn at most: the last is below 1e-24
-# m/s, velocity that other forces would miss without what they are at the end: it leaves a 24th of that.
+OTHERS = 4  # numbers of the other forces: how many values are known, the force, its slope and its curve
+_KNOWN = 2.0  # values needed to extrapolate
+_TURN = 0.5  # rad, phase of the fastest mode in one part of a period: the velocity is almost a parabola there
+_PARTS = 16  # parts of a period at most; a stiffer axis is stepped
+_TERMS = 20  # of the Taylor series, for half a radian at most: the last is below 1e-24
+# m/s, largest velocity error of the extrapolation before its correction, which leaves 1/24 of it.
 _MISSED = 1e-8
 
 
@@ -58,7 +57,7 @@ def multiply(n, left, right, result):
 
 @fused
 def affine(y, s, plant, dy):
-    """Time derivative of the state ``y`` that slides towards ``s``, of what is affine, without motor and push."""
+    """Time derivative of the state ``y`` sliding in direction ``s``, of the affine forces without motor and push."""
     b, hooks, starts, p, settings, _ = plant
     net = -(b[1] + settings[BRAKING]) * y[1] - b[3] - total(SOLVED, y, 0.0, 0.0, plant) - s * max(0.0, settings[LEVEL])
     dy[0], dy[1] = y[1], net * settings[MOBILITY]
@@ -69,14 +68,14 @@ def affine(y, s, plant, dy):
 
 @fused
 def others_at(y, t, tau, s, plant):
-    """Force [N] of what is not :func:`affine`, in the state ``y`` sliding towards ``s`` under the motor's ``tau``."""
+    """Forces [N] that are not :func:`affine`, in the state ``y`` sliding in direction ``s`` at motor force ``tau``."""
     acting, level = tau - plant[4][BRAKING] * y[1], max(0.0, plant[4][LEVEL])
     return s * (level - dry(y, t, acting, plant)) - total(UNSOLVED, y, t, acting, plant)
 
 
 @fused
 def learn(more, h, others):
-    """Take up that ``h`` later the ``others`` are ``more`` [N]."""
+    """Update the extrapolation ``others`` with the force ``more`` [N] measured ``h`` later."""
     missed = more - (others[1] + h * (others[2] + 0.5 * h * others[3]))
     if others[0] < _KNOWN:
         others[0], others[2] = others[0] + 1.0, missed / h
@@ -88,7 +87,7 @@ def learn(more, h, others):
 
 @fused
 def solve_all(h, plant, work, solutions, spare):
-    """Fill ``solutions`` for both directions and all pieces there are."""
+    """Fill ``solutions`` for both directions and all pieces."""
     length = room_of_one(int(plant[4][STATES]))
     for piece in range(PIECES):
         if piece == WITHIN or plant[4][TWIST] > 0.0:
@@ -98,7 +97,7 @@ def solve_all(h, plant, work, solutions, spare):
 
 @fused
 def room_of_one(n):
-    """Numbers of the solution of one piece in one direction, of ``n`` states."""
+    """Length of the solution of one piece in one direction, for ``n`` states."""
     return (n + MORE) * (n + MORE + 2) + n + 1
 
 
@@ -106,9 +105,9 @@ def room_of_one(n):
 def solve(h, s, piece, plant, work, solution, spare):
     """Fill ``solution`` for direction ``s`` and a ``piece``.
 
-    Matrix over a part of ``h``, acceleration, rate of the state that has pieces, what a newton that the other forces
-    have more at the end of ``h`` adds to the state, and how many parts there are, 0: too many. ``spare`` has room for
-    three matrices.
+    It holds the matrix over a part of ``h``, the rows of the acceleration and of the rate of the state with pieces, the
+    change of the state per newton of correction of the other forces at the end of ``h``, and the number of parts, 0 for
+    too many. ``spare`` has room for three matrices.
     """
     settings, rest, moved, stage = plant[4], work[0], work[1], work[5]
     n, twist = int(settings[STATES]), int(settings[TWIST])
@@ -136,7 +135,7 @@ def solve(h, s, piece, plant, work, solution, spare):
         stage[j] = now
         for i in range(n):
             a[size * i + j] = (moved[i] - rest[i]) / unit
-    # The rate of the fastest motion is at most the 16th root of any norm of the 16th power.
+    # The largest rate of A is at most the 16th root of any norm of its 16th power.
     for i in range(n):
         for j in range(n):
             other[n * i + j] = a[size * i + j]
@@ -200,9 +199,9 @@ def solve(h, s, piece, plant, work, solution, spare):
 
 @fused
 def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
-    """Slide through ``h`` under the motor's ``tau`` and ``push`` [N], to ``new``; returns whether it can.
+    """Slide through ``h`` under motor force ``tau`` and ``push`` [N] to the state ``new``; returns whether it succeeds.
 
-    It cannot where the direction ``s`` or the piece changes on the way, or the other forces turn too fast.
+    It fails if the direction ``s`` or the piece changes on the way, or if the other forces change too fast.
     """
     settings, largest, stage = plant[4], work[6], work[5]
     n, twist, forced = int(settings[STATES]), int(settings[TWIST]), settings[LINEAR] > 1.0
@@ -243,7 +242,7 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
         first, last = last, of_row(n, new, gap, force, row)
         if not (s * new[1] > 0.0 and abs(new[0]) < 1e3 and abs(new[1]) < 1e3):
             return False
-        # A dip between the two: of a parabola it is half of this at most.
+        # A dip of the velocity between the two: for a parabola it is half of this at most.
         dip = 0.5 * span * min(abs(first), abs(last))
         if s * first < 0.0 and s * last > 0.0 and min(abs(stage[1]), abs(new[1])) < dip:
             return False
@@ -273,7 +272,7 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
 
 @fused
 def of_row(n, y, gap, force, row):
-    """Rate of the state that has this ``row`` of A, in the state ``y``."""
+    """Rate of the state with this ``row`` of A, in the state ``y``."""
     value = row[n] * gap + row[n + 1] * force + row[n + 2]
     for j in range(n):
         value += row[j] * y[j]

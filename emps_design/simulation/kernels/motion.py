@@ -1,10 +1,9 @@
-"""Motion of an axis with any effects between two events: balance of forces, Runge-Kutta step, where an event lies.
+"""Motion of an axis with any effects between two events: balance of forces, Runge-Kutta step, location of an event.
 
-State ``y = [q, v, own states of the effects ..., (work of motor, push, friction, effects)]``, the work where the energy
-balance is asked for. Under a current loop that is not ideal the motor force decays towards its command, a known
-function of time within a hold period, and behind a second lag the sum of two. The step is the classical Runge-Kutta
-rule of order 4 with Zonneveld's embedded rule of order 3 (Hairer, Norsett, Wanner, Solving Ordinary Differential
-Equations I, table II.4.2).
+State ``y = [q, v, own states of the effects ..., (work of motor, push, friction, effects)]``, the work only for an
+energy balance. With a current loop the motor force decays towards its command, a known function of time within a hold
+period, and with a second lag the sum of two. The step is the classical Runge-Kutta rule of order 4 with Zonneveld's
+embedded rule of order 3 (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table II.4.2).
 
 ``plant`` is everywhere (baseline, table of hooks, start of each row of the table, parameters, settings, drive): bare
 pointers, as arrays in tuples would be counted at ten times the cost of the arithmetic.
@@ -29,17 +28,17 @@ SETTINGS = 25
 DRIVE = 7  # numbers of ``drive``
 
 ORDER = 4  # of convergence, measured in the tests
-# What one step may be wrong by in position [m], velocity [m/s], and relative to the largest value of an own state.
+# Error tolerance of one step in position [m], velocity [m/s], and relative to the largest value of an own state.
 _POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
-_ROUGH = 0.5  # of that, below which a rough estimate will do
-INSTANT = 1e-15  # s, shortest rest of a period worth a step
-NUDGE = 1e-300  # m/s, that tells a direction and nothing else
+_ROUGH = 0.5  # of the tolerance, below which a rough error estimate is enough
+INSTANT = 1e-15  # s, shortest remainder of a period that is stepped
+NUDGE = 1e-300  # m/s, a velocity that gives a direction and nothing else
 CROSSING = 1e-13  # s, a step across a guard at which a force jumps
 
 
 @inlined
 def encoded(q, resolution):
-    """What an encoder of that ``resolution`` [m], 0: as fine as can be, reports of a position."""
+    """Reading [m] of an encoder with that ``resolution`` [m] at position ``q`` [m]; 0: exact."""
     return np.floor(q / resolution + 0.5) * resolution if resolution > 0.0 else q
 
 
@@ -51,7 +50,7 @@ def friction_of(b, settings):
 
 @fused
 def motor(t, tau, plant):
-    """Motor force at ``t`` under the command ``tau``: behind lags, what is left of the gaps there were."""
+    """Motor force [N] at ``t`` under the command ``tau`` [N], with the remaining gaps of the lags."""
     settings, drive = plant[4], plant[5]
     lag, behind = settings[LAG], settings[BEHIND]
     if lag == 0.0:
@@ -64,7 +63,7 @@ def motor(t, tau, plant):
 
 @fused
 def turning(t, plant):
-    """How long after ``t`` the motor force turns [s]: behind one lag it never does, but only grows or falls."""
+    """Time [s] after ``t`` at which the motor force has its extremum; infinite with one lag, where it is monotonic."""
     settings, drive = plant[4], plant[5]
     lag, behind = settings[LAG], settings[BEHIND]
     if behind == 0.0 or not drive[0] * drive[5] < 0.0:
@@ -101,12 +100,12 @@ def pull(y, t, acting, push, plant):
 
 @fused_inlined
 def weigh(y, t, acting, push, s, plant):
-    """What :func:`balance` gives, for a motor force ``acting`` before the back-EMF: kernels get what the plant gets."""
+    """:func:`balance` for a motor force ``acting`` without the back-EMF; kernels read the force with it."""
     v = y[1]
     acting -= plant[4][BRAKING] * v
     net, mobility = pull(y, t, acting, push, plant)
-    # Dry friction is of the direction of motion, also where a stage of a step is beyond its end; at rest it is the one
-    # that would have to be overcome: of the direction in which the rest pushes.
+    # Dry friction is that of the direction of motion, also if a stage of a step is beyond its end; at rest it is that
+    # of the direction in which the other forces push.
     if s * v < 0.0 or v == 0.0:
         y[1] = math.copysign(NUDGE, s if s != 0.0 else net)
     level = dry(y, t, acting, plant)
@@ -122,7 +121,7 @@ def balance(y, t, tau, push, s, plant):
 
 @fused
 def held(y, t, tau, push, plant):
-    """Direction in which a carriage at rest leaves, 0: dry friction holds it."""
+    """Direction in which a carriage at rest breaks away, 0: dry friction holds it."""
     net, level, _ = balance(y, t, tau, push, 0.0, plant)
     if abs(net) <= level * (1.0 + 1e-14) + 1e-12:
         return 0.0
@@ -159,13 +158,13 @@ def derivative(y, t, tau, push, s, plant, dy):
 
 @fused
 def clipped(t, bounds):
-    """Stage time kept on this side of the jumps that bound the segment."""
+    """Stage time limited to the segment between two jumps."""
     return min(max(t, bounds[0]), bounds[1])
 
 
 @fused_inlined
 def worse(error, wrong, i, new, largest):
-    """The larger one of ``error`` and what state ``i`` is ``wrong`` by, in units of what it may be."""
+    """The larger of ``error`` and the error ``wrong`` of state ``i``, in units of its tolerance."""
     if i == 0:
         scale = _POSITION
     elif i == 1:
@@ -179,8 +178,8 @@ def worse(error, wrong, i, new, largest):
 def step(y, t, h, tau, push, s, plant, bounds, work, new):
     """One Runge-Kutta step from ``y`` (its derivative in ``work[0]``) to ``new``; returns the scaled error.
 
-    The embedded rule takes an evaluation more. A step is good without it where the differences of the four others,
-    which are of lower order, already are within the tolerance.
+    The embedded rule takes one more evaluation. A step is accepted without it if the differences of the other four,
+    which are of lower order, are already within the tolerance.
     """
     k1, k2, k3, k4, k5, stage, largest = work
     settings = plant[4]
@@ -229,11 +228,11 @@ def margin(event, sign, y, t, tau, push, plant):
 
 @fused
 def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
-    """Shorten the step ``h`` until it ends just behind the event; leaves the state there in ``new``."""
+    """Shorten the step ``h`` so that it ends just after the event; ``new`` is the state there. Returns the step."""
     low, high = 0.0, h
     at_low = margin(event, sign, y, clipped(t, bounds), tau, push, plant)
     at_high = margin(event, sign, new, clipped(t + h, bounds), tau, push, plant)
-    while at_low <= 0.0 and high > CROSSING:  # it began on the event: look for a point before it happens again
+    while at_low <= 0.0 and high > CROSSING:  # the step starts on the event: find a point before it happens again
         x = 0.5 * high
         step(y, t, x, tau, push, s, plant, bounds, work, new)
         value = margin(event, sign, new, clipped(t + x, bounds), tau, push, plant)
@@ -241,7 +240,7 @@ def locate(event, sign, y, t, h, tau, push, s, plant, bounds, work, new):
             low, at_low = x, value
         else:
             high, at_high = x, value
-    if at_low <= 0.0:  # there is none: leave the event behind
+    if at_low <= 0.0:  # there is none: pass the event
         high = CROSSING
         while True:
             step(y, t, high, tau, push, s, plant, bounds, work, new)

@@ -1,12 +1,8 @@
-"""Slide through a whole hold period on one or two evaluations of the forces.
+"""Slide through a whole hold period with one or two evaluations of the forces.
 
-Where effects have no own states but memories of the path (:mod:`path_memory`).
-
-Memories of the path: own states that change with travel alone, along a stretch of it in one step.
-
-Between two places a memory x obeys ``dx/d|q| = (end - x)/travel``, where both follow the level of the dry friction: a
-contact that bends before it slides (Dahl) tends to the bend that carries the whole friction. However short the travel,
-the solution is known.
+The effects may have no own states other than memories of the path, which change with travel alone. A memory x obeys
+``dx/d|q| = (end - x)/travel``, where both depend on the level of the dry friction: a contact that deflects before it
+slides (Dahl) tends to the deflection that carries the whole friction. The solution is exact, however short the travel.
 """
 
 from __future__ import annotations
@@ -33,33 +29,33 @@ from emps_design.simulation.kernels.motion import (
     weigh,
 )
 
-_EVENLY = 1e-6  # relative change of a level or a travel that is next to none
-_STEEPEST = -0.3  # of what the travel of a memory changes along the path
+_EVENLY = 1e-6  # relative change of a level or a travel that counts as zero
+_STEEPEST = -0.3  # least slope of the travel of a memory along the path
 
 ORDER = 3  # of convergence, measured in the tests
-# Second difference of the acceleration times step squared [m], and velocity missed [m/s], of a step that is good.
+# Tolerances of a step: second difference of the acceleration times step squared [m], and velocity error [m/s].
 _BEND, _MISSED = 6e-9, 3e-10
-_UNSTOPPED = 0.3  # of that tolerance where no stop forgets what was missed before
-_EVEN = 1e-9  # m/s^2, acceleration missed in the middle of a step by what the last ones lead to: one evaluation will do
-# A parabola of time goes through the accelerations in the middle of three steps. What it is at the end of the third is
-# what the one before leads to, and for each m/s^2 that one misses in the middle of the step so much more of position,
-# velocity, acceleration and slope, in units of the step (Nordsieck's form of a multistep method).
+_UNSTOPPED = 0.3  # of these tolerances for a motion without stops, where errors accumulate
+_EVEN = 1e-9  # m/s^2, error of the predicted acceleration in mid-step below which one evaluation is enough
+# A parabola of time goes through the accelerations in the middle of three steps. Its prediction for the end of the
+# third is corrected, per m/s^2 of error in mid-step, by these amounts of position, velocity, acceleration and slope, in
+# units of the step (Nordsieck's form of a multistep method).
 _TO_PLACE, _TO_SPEED, _TO_END, _TO_SLOPE = 19.0 / 48.0, 25.0 / 24.0, 15.0 / 8.0, 2.0
-_AGAIN = 10.0  # times as much as what is missed once counts what is missed in step after step alike
-_CUBIC = 15.0  # a parabola misses this many times less of a step than its curve has changed since the last one
+_AGAIN = 10.0  # weight of an error that repeats in every step, against one that occurs once
+_CUBIC = 15.0  # ratio of the change of the curve from step to step to the error of a parabola
 SPEEDS = 20  # octaves of speed, up to 5 m/s
 
 
 @fused
 def remember(before, y, t, acting, level, curve, s, plant, work):
-    """Fill the memories of ``y`` with what those of ``before`` become on the way there; returns the level there [N].
+    """Advance the memories from the state ``before`` to the place of ``y``; returns the friction level there [N].
 
-    ``level`` is that of the dry friction ``before``. Between the two it goes along a parabola of the travel, ``curve``
-    its half second derivative, and so do what a memory tends to and the travel over which it does (:func:`tends`; where
-    the level never changes ``work[2]`` and ``work[4]`` hold them). Were that travel a line the equation would have a
-    parabola for a solution, and any other would come closer to it by ``exp(-integral d|q|/travel)``; what its bow
-    changes of both is added to first order. ``work[3]`` gets two numbers: what Simpson's rule over twice as much misses
-    of the force [N], and what the force, as long as it remembers, owes to the curve [N per N/m^2].
+    ``level`` is the dry friction ``before``. In between it is a parabola of the travel with half second derivative
+    ``curve``, and so are the end value and the travel constant of a memory (:func:`tends`; if the level never changes
+    ``work[2]`` and ``work[4]`` hold them). For a linear travel constant one solution is a parabola, and any other
+    approaches it by ``exp(-integral d|q|/travel)``; the curvature of the constant is added to first order. ``work[3]``
+    gets two numbers: the error of the force by Simpson's rule over twice the step [N], and the sensitivity of the
+    remembered force to ``curve`` [N per N/m^2].
     """
     _, hooks, starts, p, settings, _ = plant
     moved, missed, owed, after, varies = abs(y[0] - before[0]), 0.0, 0.0, level, starts[DRY + 1] > starts[DRY]
@@ -99,9 +95,9 @@ def remember(before, y, t, acting, level, curve, s, plant, work):
 
 @fused
 def tends(i, y, t, acting, level, s, plant, rate):
-    """What memory ``i`` tends to under ``level``, and over which travel: ``dx/d|q| = (end - x)/travel``.
+    """Return end value and travel constant of memory ``i`` under ``level``: ``dx/d|q| = (end - x)/travel``.
 
-    Read off its rate at one metre per second, at two places. Leaves ``y`` with another memory.
+    They follow from its rate at 1 m/s for two values of the memory. Changes the memory in ``y``.
     """
     _, hooks, _, p, _, _ = plant
     hook, x_at, p_at = hooks[3 * i], hooks[3 * i + 1], hooks[3 * i + 2]
@@ -116,10 +112,7 @@ def tends(i, y, t, acting, level, s, plant, rate):
 
 @fused
 def stiffness(y, t, acting, level, s, plant, rate):
-    """How much more the memories of ``y`` resist further on [N/m]: the force of their rates along the path.
-
-    Leaves ``y`` with these.
-    """
+    """Stiffness of the memories along the path [N/m]: the force of their rates. Replaces the memories in ``y``."""
     _, hooks, starts, p, _, _ = plant
     for i in range(starts[RATE], starts[RATE + 1]):
         at = hooks[3 * i + 1]
@@ -147,10 +140,10 @@ def lens(steps):
 
 @fused
 def begin(y, t, tau, push, s, steady, plant, work):
-    """Weigh the forces at the start of a first slide into ``work``; returns whether it can be one.
+    """Evaluate the forces at the start of a first slide into ``work``; returns whether a slide is possible.
 
-    Not ``steady``: friction may grow with the motor force, and what is left of its gap behind a lag may load it. That
-    can be slid through where all of the gap counts in proportion.
+    Not ``steady``: friction may depend on the motor force, and so on the remaining gap of a lag. A slide is possible if
+    the acceleration is linear in that gap.
     """
     drive, settings, starts = plant[5], plant[4], plant[2]
     rub = 0.0 if settings[FREE] > 0.0 else s
@@ -173,26 +166,26 @@ def begin(y, t, tau, push, s, steady, plant, work):
 
 @fused_inlined
 def slide(y, t, h, tau, push, s, feel, plant, work, new):
-    """Slide through ``h`` on one evaluation, two or few more; returns whether the step is good.
+    """Slide through ``h`` with one evaluation, two or a few more; returns whether the step is accepted.
 
-    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards, and
-    without own states but memories of the path, where no kernel jumps in time. ``work[0][1]`` is the acceleration at
-    the start, known from the end of the last step; ``work[0][0]`` the slope it had there without viscous decay (0: not
-    known) and ``work[4][0]`` that slope's own, ``work[1]`` what a newton of the gap behind a lag adds to the
-    acceleration, and the mobility (see :func:`begin`), ``work[2]`` the level of the dry friction and its curve along
-    the path (see :func:`remember`). ``feel`` holds the derivative of the acceleration by velocity (see
-    :func:`feeling`): velocities that were off are answered by it, positions by the stiffness of the memories, and the
-    sweep is repeated until what that leaves is below the tolerance. Where the acceleration in the middle is what the
-    last steps lead to expect, within the tolerance, the one evaluation there is enough. Where its second difference is
-    large, one step is too long and the general method takes over.
+    Simpson's rule over the acceleration at both ends and in the middle (Lobatto IIIA), for axes without guards, without
+    own states other than memories of the path, and without kernels that jump in time. ``work[0][1]`` is the
+    acceleration at the start, known from the end of the last step; ``work[0][0]`` its slope there without viscous decay
+    (0: not known) and ``work[4][0]`` the slope of that; ``work[1]`` the acceleration per newton of the gap of a lag,
+    and the mobility (see :func:`begin`); ``work[2]`` the level of the dry friction and its curve along the path (see
+    :func:`remember`). ``feel`` holds the derivative of the acceleration by velocity (see :func:`feeling`). Errors of
+    the velocity are corrected by it, errors of the position by the stiffness of the memories; the sweep is repeated
+    until the remaining error is below the tolerance. If the acceleration in mid-step is that predicted from the last
+    steps, within the tolerance, that one evaluation is enough. If its second difference is large, the step is too long
+    and the general method takes over.
     """
     stage, settings, half = work[5], plant[4], t + 0.5 * h
     tolerance, bend_most, rub = settings[TOLERANCE], _BEND, s
-    if settings[FREE] > 0.0:  # no stop forgets what was missed before
+    if settings[FREE] > 0.0:  # without stops errors accumulate
         tolerance, bend_most, rub = _UNSTOPPED * tolerance, _UNSTOPPED * _BEND, 0.0
     remembers, level0, curve, off, rough = settings[STATES] > 2.0, work[2][0], work[2][1], 0.0, 0.0
     decay = plant[0][1] * work[1][1]
-    # What the gap of the motor force does on its way to zero is known: to acceleration, velocity and position.
+    # The decaying gap of the motor force adds known amounts to acceleration, velocity and position.
     drive, lag = plant[5], settings[LAG]
     gap = drive[0] * work[1][0]
     if lag > 0.0 and drive[2] != h:  # the same for every period of one length
@@ -214,7 +207,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
     bow = work[4][0] - decay * slope
     per, fades = 1.0 / h, h * decay
     stage[0] = y[0] + half_q + 0.5 * h * (y[1] + 0.25 * h * (a0 + h / 6.0 * slope))
-    # The same with the bow, and a0 last: it waits for the command, and everything after waits for it.
+    # The same with the second slope, and a0 last: it depends on the command, and everything after depends on it.
     known = y[1] + half_v + 0.125 * h * h * (work[0][0] + h / 6.0 * (work[4][0] - decay * work[0][0]))
     stage[1] = known + 0.5 * h * (1.0 - 0.25 * fades * (1.0 - fades / 6.0)) * a0
     end, level1, level2 = 0.0, level0, level0
@@ -267,7 +260,7 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
         if remembers:
             stiff = stiffness(stage, half, inside, level1, s, plant, work[3]) * mobility
             off = -4.0 * stiff * (place - stage[0])
-            # What a gap behind a lag moves is no polynomial of time, and no more is the force that answers it.
+            # The motion due to the gap of a lag is no polynomial of time, nor is the force that it causes.
             late = stiff * half_q * min(0.25, (h / lag) ** 4 / 2880.0) if lag > 0.0 else 0.0
             swings = h * h * stiff
             rough = swings * abs(off) + _AGAIN * (4.0 * abs(late) + swings * swings / 480.0 * max(abs(a0), abs(middle)))
@@ -294,9 +287,9 @@ def slide(y, t, h, tau, push, s, feel, plant, work, new):
 
 @fused
 def fading(gap, lag, decay, h, gone):
-    """What a force that fades with ``lag`` adds after ``h``, under viscous ``decay``: acceleration, velocity, position.
+    """Acceleration, velocity and position after ``h`` due to a force that decays with ``lag``, under viscous ``decay``.
 
-    ``gap`` [m/s^2] is what it adds to the acceleration at first, ``gone`` = 1 - exp(-h/lag).
+    ``gap`` [m/s^2] is its initial acceleration, ``gone`` = 1 - exp(-h/lag).
     """
     if gap == 0.0:
         return 0.0, 0.0, 0.0
@@ -309,8 +302,8 @@ def fading(gap, lag, decay, h, gone):
 def feeling(y, plant, work, feel):
     """Fill ``feel``, per direction and octave of speed from 10 um/s, with two numbers [1/s].
 
-    The derivative of the acceleration by velocity (at the first position and time), and a bound of what it does not
-    explain: a quarter of the largest one in this and the neighbouring octaves; all of it where a contact has to bend
+    They are the derivative of the acceleration by velocity (at the first position and time), and a bound of its error:
+    a quarter of the largest derivative in this and the neighbouring octaves; all of it if a contact has to deflect
     before friction follows the velocity.
     """
     stage, settings = work[5], plant[4]
