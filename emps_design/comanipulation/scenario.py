@@ -55,7 +55,7 @@ class Comanipulation:
         """
         exact = self.nominal.plant(0)
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
-        own_words = [words for words in (self.taken, _followed(exact)) if words]
+        own_words = [words for words in (self.taken, _fit_warning(exact)) if words]
         refused = self.assessment
         return {
             **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
@@ -144,7 +144,7 @@ def usual_law(axis: Axis) -> tuple[float, float]:
     return float(f"{MASS * size:.12g}"), float(f"{DAMPING * size:.12g}")
 
 
-def _followed(exact: dict[str, Any]) -> str:
+def _fit_warning(exact: dict[str, Any]) -> str:
     """Return a warning if mass and damping fit the guided motion of the exact law poorly; empty otherwise."""
     if not exact["r2"] < FOLLOWED:
         return ""

@@ -246,7 +246,7 @@ def mismatch_study(
     parts = [errors[start : start + TOGETHER] for start in range(0, len(errors), TOGETHER)]
 
     def judged(part: np.ndarray) -> np.ndarray:
-        return _judged(axis, with_errors(law, part), directions)
+        return _error_and_radius(axis, with_errors(law, part), directions)
 
     error, radius = np.hstack(list(in_threads(judged, parts, workers)))
     error[radius > 1.0 + MARGINAL] = np.nan
@@ -256,7 +256,7 @@ def mismatch_study(
         other = run_many(axis, [off], task.reversed, workers, progress)
         worse = other.verdict > measures.verdict
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
-    beyond = _beyond(axis, with_errors(law, errors[: len(corners)]), task)
+    beyond = _verdicts_beyond(axis, with_errors(law, errors[: len(corners)]), task)
     return MismatchStudy(axis.name, law, mismatch, seed, task, len(corners), errors, error, radius, measures, beyond)
 
 
@@ -279,7 +279,7 @@ def run_worst(axis: Axis, study: MismatchStudy) -> TaskRun:
     return max(run, other, key=lambda run: VERDICTS.index(run.verdict))
 
 
-def _judged(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.ndarray:
+def _error_and_radius(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.ndarray:
     """Error of the apparent impedance and largest pole modulus of ``laws``, (2, m), in the worse direction."""
     clock, plant = Clock.of(axis), FrictionModel.of(axis)
     options: dict[str, Any] = {"velocity_estimator": laws.velocity_estimator, "force_sensor": laws.force_sensor}
@@ -302,7 +302,7 @@ def with_errors(law: ImpedanceLaw, errors: np.ndarray) -> ImpedanceLaw:
     return law.with_errors(dict(zip(PARAMETERS, errors.T, strict=True)))
 
 
-def _beyond(axis: Axis, laws: ImpedanceLaw, task: Task) -> tuple[dict[str, str], ...]:
+def _verdicts_beyond(axis: Axis, laws: ImpedanceLaw, task: Task) -> tuple[dict[str, str], ...]:
     """Worst verdict of ``laws`` on machines that differ from ``axis`` in one property that the law does not know."""
     drive, sampling = axis.drive, axis.sampling
     lag = drive.current_time_constant

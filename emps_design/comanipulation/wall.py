@@ -192,13 +192,13 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
     quiet = [not speeds(wall).any() for wall in grid]
     predicted = 0.0 if not quiet[0] else float(grid[quiet.index(False) - 1] if False in quiet else linear)
     push = max(2.3 * break_away(law, plant), 0.1 * abs(complex(law.damping, 5.0 * law.mass)))
-    simulated = _simulated(axis, laws[worst], grid, push)
+    simulated = _simulated_limit(axis, laws[worst], grid, push)
     return WallLimit(linear, predicted, min(simulated, linear), push, corners[worst])
 
 
-def _simulated(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
+def _simulated_limit(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
     """Largest stiffness [N/m] at which the axis rests against the wall and comes to rest after a push into it."""
-    low = _resting(axis, law, grid, push)
+    low = _resting_limit(axis, law, grid, push)
     duration = max(12.0, 24.0 * law.mass / law.damping if law.damping > 0.0 else 0.0)
     duration = min(duration, MOST * axis.sampling.period)
     while low > 0.0 and push_into_wall(axis, law, low, push, duration=duration).verdict in ("bouncing", "unstable"):
@@ -206,7 +206,7 @@ def _simulated(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> 
     return low
 
 
-def _resting(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
+def _resting_limit(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
     """Largest stiffness [N/m] up to which the axis pressed against the wall comes to rest; 0: not at the softest."""
     low = 0.0
     for wall in grid:

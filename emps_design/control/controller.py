@@ -263,7 +263,7 @@ def _sampled(
     bandwidth = _minus_3_db(_closed(loop, plant, follows), grid) if margins.stable and follows in FOLLOWED else None
     error = None
     if name == "velocity" and follows == "velocity" and margins.stable:
-        error = _other(margins, loop_margins(_velocity_error(loop, form, plant), grid, True, plant.period))
+        error = _if_different(margins, loop_margins(_velocity_error(loop, form, plant), grid, True, plant.period))
     poles = loop.poles[np.abs(loop.poles) > 1e-9]
     return LoopMargins(
         POSITION_ERROR if at_error else PLANT_INPUT,
@@ -321,7 +321,7 @@ def _continuous(loop: ContinuousLoop, plant: SampledPlant, name: str, follows: s
 
     error = None
     if name == "velocity" and follows == "velocity" and stable:
-        error = _other(margins, _bounded(loop_margins(lambda w: loop.at_velocity_error(1j * w), grid, True)))
+        error = _if_different(margins, _bounded(loop_margins(lambda w: loop.at_velocity_error(1j * w), grid, True)))
     bandwidth = _minus_3_db(closed, grid) if stable and follows in FOLLOWED else None
     return LoopMargins(
         POSITION_ERROR if at_error else PLANT_INPUT,
@@ -338,7 +338,7 @@ def _bounded(margins: Margins) -> Margins:
     return replace(margins, gain_margin=None, gain_margin_frequency=None) if far else margins
 
 
-def _other(margins: Margins, error: Margins) -> Margins | None:
+def _if_different(margins: Margins, error: Margins) -> Margins | None:
     """Return ``error`` if it differs from ``margins``, otherwise None."""
     both = [(getattr(margins, name), getattr(error, name)) for name in ("phase_margin_deg", "crossover")]
     alike = all(a is None or b is None or math.isclose(a, b, rel_tol=1e-6) for a, b in both)

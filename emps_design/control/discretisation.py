@@ -236,7 +236,7 @@ class SampledPlant:
         held voltage then changes between the samples (modified z-transform).
         """
         whole, fraction = _whole_and_fraction(self.linear.delay + np.asarray(delay), self.period)
-        newer, older = _late(self.linear, fraction, self.period)
+        newer, older = _inputs_within_period(self.linear, fraction, self.period)
         z = np.exp(1j * np.asarray(w) * self.period)
         row, _, _ = self.increment
         matrices = z[..., None, None] * np.eye(self.kept.size) - self.Phi[np.ix_(self.kept, self.kept)]
@@ -299,8 +299,8 @@ def sample_plant(
             "that the plant's own motion fits in"
         )
     whole, fraction = _whole_and_fraction(linear.delay, period)
-    Phi, (now, H) = _held(linear.A, (linear.B, linear.E), period)
-    G0, G1 = _late(linear, fraction, period) if fraction else (now, np.zeros_like(now))
+    Phi, (now, H) = _zero_order_hold(linear.A, (linear.B, linear.E), period)
+    G0, G1 = _inputs_within_period(linear, fraction, period) if fraction else (now, np.zeros_like(now))
     return SampledPlant(
         Phi,
         G0,
@@ -374,14 +374,14 @@ def _whole_and_fraction(delay: Any, period: float) -> tuple[Any, Any]:
     return whole, rest
 
 
-def _late(linear: LinearPlant, fraction: Any, period: float) -> tuple[np.ndarray, np.ndarray]:
+def _inputs_within_period(linear: LinearPlant, fraction: Any, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Input vectors of the newer and the older voltage if the newer arrives ``fraction`` [s] into the period."""
-    late, (newer,) = _held(linear.A, (linear.B,), period - np.asarray(fraction))
-    _, (older,) = _held(linear.A, (linear.B,), fraction)
+    late, (newer,) = _zero_order_hold(linear.A, (linear.B,), period - np.asarray(fraction))
+    _, (older,) = _zero_order_hold(linear.A, (linear.B,), fraction)
     return newer, (late @ older[..., None])[..., 0]
 
 
-def _held(A: np.ndarray, inputs: tuple[np.ndarray, ...], time: Any) -> tuple[np.ndarray, list[np.ndarray]]:
+def _zero_order_hold(A: np.ndarray, inputs: tuple[np.ndarray, ...], time: Any) -> tuple[np.ndarray, list[np.ndarray]]:
     """exp(A t), and the integral of exp(A s) b over [0, t] for each b of ``inputs``."""
     size, time = A.shape[-1], np.asarray(time)
     shape = np.broadcast_shapes(A.shape[:-2], time.shape)

@@ -76,9 +76,9 @@ class PositionLoopDesign:
     @property
     def overshoot_percent(self) -> float:
         """Overshoot [%] of the response to a step of the position reference."""
-        return float(max(0.0, 100.0 * (self._after_a_step_of("reference").max() - 1.0)))
+        return float(max(0.0, 100.0 * (self._step_positions("reference").max() - 1.0)))
 
-    def _after_a_step_of(self, name: str) -> np.ndarray:
+    def _step_positions(self, name: str) -> np.ndarray:
         """Positions at the ends of the samples after a unit step of an input."""
         slowest = min(self.kp, self.velocity_loop.crossover)
         return step_answer(self.loop, name, max(50, round(8.0 / (slowest * self.loop.period))))[2]
@@ -97,7 +97,7 @@ class PositionLoopDesign:
     @property
     def stiffness(self) -> float:
         """A step of force over the largest displacement that it causes [N/m]."""
-        return float(1.0 / np.max(np.abs(self._after_a_step_of("force"))))
+        return float(1.0 / np.max(np.abs(self._step_positions("force"))))
 
     @property
     def feedforwards(self) -> dict[str, dict[str, float]]:

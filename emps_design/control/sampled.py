@@ -206,9 +206,9 @@ def transfer(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: Any, z: np.ndarray)
 def transfers(A: np.ndarray, b: np.ndarray, C: np.ndarray, D: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return :func:`transfer` for each of several ``C`` (o, ..., n) and ``D`` (o, ...), from systems solved once."""
     if A.ndim == 3 and len(A) > 1:
-        alike = _alike(A, b)
+        alike = _rank_one(A, b)
         if alike is not None:
-            return _of_alike(A[0], b[0], *alike, C, D, z)
+            return _rank_one_transfers(A[0], b[0], *alike, C, D, z)
         if len(A) * z.size > AT_ONCE:  # split to limit memory
             half = len(A) // 2
             pieces = [transfers(A[i], b[i], C[:, i], D[:, i], z) for i in (slice(half), slice(half, None))]
@@ -225,7 +225,7 @@ def _solved(A: np.ndarray, columns: np.ndarray, z: np.ndarray) -> np.ndarray:
     return np.linalg.solve(systems, wide)
 
 
-def _alike(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _rank_one(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return a column (n,) and shares (m, n + 1) with each ``[A b]`` the first plus column times shares; else None.
 
     This holds for loops around one plant with laws of one output that differ in the gains of that output.
@@ -241,8 +241,8 @@ def _alike(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None
     return (column, shares) if np.all(residual <= ROUNDING * (np.abs(tables) + np.abs(tables[0]))) else None
 
 
-def _of_alike(A: Any, b: Any, column: Any, shares: Any, C: Any, D: Any, z: np.ndarray) -> np.ndarray:
-    """Transfer functions of systems that are :func:`_alike`, by the Sherman-Morrison formula."""
+def _rank_one_transfers(A: Any, b: Any, column: Any, shares: Any, C: Any, D: Any, z: np.ndarray) -> np.ndarray:
+    """Transfer functions of systems that are :func:`_rank_one`, by the Sherman-Morrison formula."""
     first, moved = np.moveaxis(_solved(A, np.column_stack([b, column]), z), -1, 0)
     rows = shares[:, :-1]
     back = (shares[:, -1:] + rows @ first.T) / (1.0 - rows @ moved.T)

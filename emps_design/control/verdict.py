@@ -146,9 +146,9 @@ class DesignVerdict:
     @cached_property
     def worst(self) -> NestedLoop:
         """The loop with the smallest margins."""
-        return self._in_full(worst_loop(self.loops))
+        return self._with_all_margins(worst_loop(self.loops))
 
-    def _in_full(self, loop: NestedLoop) -> NestedLoop:
+    def _with_all_margins(self, loop: NestedLoop) -> NestedLoop:
         """One of :attr:`loops` with all of its margins."""
         case = next((case for case in self.cases if any(judged is loop for judged in case.judged)), None)
         return loop if case is None else case.loops[case.judged.index(loop)]
@@ -174,7 +174,7 @@ class DesignVerdict:
         if self.design.reason:
             return self.design.nearest_stable
         if self.worst.name == VELOCITY_LOOP:
-            return self._slower()
+            return self._slower_request()
         kp = self.position_kp
         return {} if kp is None else {"position_kp": kp}
 
@@ -195,7 +195,7 @@ class DesignVerdict:
         """The share :data:`KEPT` of the velocity loop's least safety over all machines."""
         return KEPT * min(safety(loop.margins) for loop in self.loops if loop.name == VELOCITY_LOOP)
 
-    def _slower(self) -> dict[str, Any]:
+    def _slower_request(self) -> dict[str, Any]:
         """The request at a lower frequency, with a velocity loop that is safe on every machine, or at least stable."""
         design, stable = self.design, dict[str, Any]()
         if not design.requested:
@@ -277,7 +277,7 @@ class DesignVerdict:
     @property
     def worst_corner(self) -> NestedLoop:
         """The worst loop at any corner of ``errors``."""
-        return self._in_full(worst_loop(self._corners))
+        return self._with_all_margins(worst_loop(self._corners))
 
     @property
     def stable_share(self) -> float:

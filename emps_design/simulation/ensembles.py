@@ -104,7 +104,7 @@ def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
     return _placed(axis, (name,), row[:, None])
 
 
-def _known(axis: Axis) -> dict[str, tuple[int, int]]:
+def _parameter_places(axis: Axis) -> dict[str, tuple[int, int]]:
     """Parameters that can be varied: name -> index of the effect (-1: baseline), index of the parameter."""
     names = {name: (-1, i) for i, name in enumerate(BASELINE)}
     for place, entry in enumerate(axis.effects):
@@ -122,7 +122,7 @@ def _spreads(axis: Axis, spread: float | Mapping[str, float]) -> dict[str, float
 
 
 def _nominal(axis: Axis, names: tuple[str, ...]) -> np.ndarray:
-    known, plant = _known(axis), Plant.of(axis)
+    known, plant = _parameter_places(axis), Plant.of(axis)
     for name in names:
         if name not in known:
             raise InputError(
@@ -138,7 +138,7 @@ def _scaled(axis: Axis, names: tuple[str, ...], factors: np.ndarray) -> Plants:
 
 def _placed(axis: Axis, names: tuple[str, ...], values: np.ndarray) -> Plants:
     _nominal(axis, names)
-    known, plant, m = _known(axis), Plant.of(axis), len(values)
+    known, plant, m = _parameter_places(axis), Plant.of(axis), len(values)
     baseline = np.tile(plant.baseline, (m, 1))
     parameters = tuple(np.tile(p, (m, 1)) for p in plant.parameters)
     for column, name in enumerate(names):

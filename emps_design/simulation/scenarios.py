@@ -423,10 +423,10 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
         push = force_ramp(axis.sampling.period, rate, side * peak)
         run = plant.open_loop(np.zeros(push.size), disturbance=push, q0=q0, quantise=False)
         moved = side * (run.position - q0)
-        at = _leaves(run, moved)
+        at = _break_away_sample(run, moved)
         limits.append(None if at is None else float(push[min(at, push.size - 1)]))
         if at is None:
-            warnings.append(_held(float(moved.max()), side * peak))
+            warnings.append(_no_break_away(float(moved.max()), side * peak))
         runs.append(run)
     step = rate * axis.sampling.period
     if any(limit is not None and abs(limit) <= step for limit in limits):
@@ -437,7 +437,7 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
     return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
 
 
-def _leaves(run: Run, moved: np.ndarray) -> int | None:
+def _break_away_sample(run: Run, moved: np.ndarray) -> int | None:
     """Return the sample at which a carriage that ``moved`` (n,) [m] along the push broke away; None if it held."""
     away = np.flatnonzero(moved > MOVED)
     until = run.t[away[0]] if away.size else np.inf
@@ -449,7 +449,7 @@ def _leaves(run: Run, moved: np.ndarray) -> int | None:
     return int(away[0]) if away.size else None
 
 
-def _held(most: float, peak: float) -> str:
+def _no_break_away(most: float, peak: float) -> str:
     """Return a warning that the carriage did not break away up to ``peak`` [N] and moved at ``most`` [m]."""
     if most <= 0.0:
         return f"the carriage held to {peak:g} N; raise `peak`"

@@ -323,7 +323,7 @@ def equivalent_impedance(
     if not math.isfinite(k_e1) or k_e1 <= 0.0:
         raise InputError(f"k_e1: found {k_e1:g} (m/s)/N, expected more than 0")
     w0, z = map(float, canonical_form(crossover, phase_margin_deg))
-    damping = 1.0 / k_e1 if _known(criterion) == LOW_FREQUENCY else (1.0 - BAND**2 / (3.0 * w0**2)) / k_e1
+    damping = 1.0 / k_e1 if _checked_criterion(criterion) == LOW_FREQUENCY else (1.0 - BAND**2 / (3.0 * w0**2)) / k_e1
     return _loop(axis, 2.0 * z / (w0 * k_e1), damping, k_e1, w0, criterion, mismatch)
 
 
@@ -355,7 +355,7 @@ def equivalent_loop(
     rate = speed + plant.viscous_positive / plant.mass  # 2 z_v w_0v
     k_e1 = 1.0 / damping
     w0 = math.sqrt(rate / (mass * k_e1))
-    if _known(criterion) == LEAST_SQUARES:
+    if _checked_criterion(criterion) == LEAST_SQUARES:
         # k_e1 = (1 - BAND^2/(3 w0^2))/B with w0^2 = rate/(M_a k_e1): linear in k_e1.
         k_e1 = 1.0 / (damping + BAND**2 * mass / (3.0 * rate))
         w0 = math.sqrt(rate / (mass * k_e1))
@@ -419,7 +419,7 @@ def _loop(
     )
 
 
-def _known(criterion: str) -> str:
+def _checked_criterion(criterion: str) -> str:
     if criterion not in CRITERIA:
         raise InputError(f"criterion: found {criterion!r}, expected one of {', '.join(CRITERIA)}")
     return criterion

@@ -158,11 +158,11 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
         ),
     )
     crossover = _requested_crossover(design, at)
-    single = _holding(plants, phase, at, crossover)
+    single = _fastest_gains(plants, phase, at, crossover)
     schedule = []
     for inertia in sorted({point["inertia"] for point in points}):
         own = [plant for point, plant in zip(points, plants, strict=True) if point["inertia"] == inertia]
-        schedule.append({"inertia": inertia, "gains": _holding(own, phase, at, crossover)})
+        schedule.append({"inertia": inertia, "gains": _fastest_gains(own, phase, at, crossover)})
     return {
         "at": at,
         "phase_margin_deg": phase,
@@ -170,7 +170,7 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
         "worst": worst,
         "one": single,
         "schedule": schedule,
-        "text": _in_words(crossover, at, single, schedule),
+        "text": _summary(crossover, at, single, schedule),
     }
 
 
@@ -179,7 +179,7 @@ def _margins(loop: SampledVelocityLoop, at: str) -> Margins:
     return loop.margins if at == PLACES[0] else loop.velocity_error
 
 
-def _holding(plants: list[SampledPlant], phase: float, at: str, crossover: float) -> dict[str, Any] | None:
+def _fastest_gains(plants: list[SampledPlant], phase: float, at: str, crossover: float) -> dict[str, Any] | None:
     """Return the fastest gains with which all ``plants`` have that phase margin [deg] at ``at``, None for none.
 
     Of gains whose crossovers differ by less than :data:`EQUAL`, those with the most integral action; they keep the
@@ -234,7 +234,7 @@ def _requested_crossover(design: VelocityLoopDesign, at: str) -> float:
     return float(design.crossover if crossover is None else crossover)
 
 
-def _in_words(crossover: float, at: str, single: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:
+def _summary(crossover: float, at: str, single: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:
     place = f"at the {at.replace('-', ' ')}"
     alone, enough = [entry["gains"] for entry in schedule], crossover * (1.0 - 1e-3)
     if single is not None and single["slowest_crossover"] >= enough:
@@ -282,7 +282,12 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
     shares: dict[str, float] = {}
     for name in ("mass", "viscous"):
         entries = [parameters[key] for key in (name, f"{name}_positive", f"{name}_negative") if key in parameters]
-        halves = [half for entry in entries for key, value in entry.items() if (half := _half(key, value)) is not None]
+        halves = [
+            half
+            for entry in entries
+            for key, value in entry.items()
+            if (half := _half_interval(key, value)) is not None
+        ]
         if not halves:
             raise InputError(f"identified parameters: {name} has no std, expected those of an identification as JSON")
         own = getattr(axis.mechanics, name)
@@ -294,7 +299,7 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
     return shares
 
 
-def _half(key: str, value: Any) -> float | None:
+def _half_interval(key: str, value: Any) -> float | None:
     """Half of the 95 % interval in an entry of an identified parameter; None for other entries."""
     if key.startswith("interval_95") and isinstance(value, Sequence) and len(value) == 2:
         low, high = value

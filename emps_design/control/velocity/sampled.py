@@ -60,7 +60,7 @@ def step_answer(loop: SampledLoop, by: str, samples: int) -> tuple[np.ndarray, n
     >>> k.tolist(), outputs[:, 0].tolist()
     ([0, 1, 2, 3], [0.0, 1.0, 1.5, 1.75])
     """
-    moves, readout = _with_the_step(loop, loop.inputs.index(by))
+    moves, readout = _step_system(loop, loop.inputs.index(by))
     length = loop.cycle * -(-BLOCK // loop.cycle)
     block, rows = np.eye(moves.shape[-1]), np.empty((length, *readout.shape[1:]))
     for j in range(length):
@@ -73,7 +73,7 @@ def step_answer(loop: SampledLoop, by: str, samples: int) -> tuple[np.ndarray, n
     return k[within], outputs[within, :-1], outputs[within, -1]
 
 
-def _with_the_step(loop: SampledLoop, place: int) -> tuple[np.ndarray, np.ndarray]:
+def _step_system(loop: SampledLoop, place: int) -> tuple[np.ndarray, np.ndarray]:
     """Return by sample of a cycle the state matrix, extended by position and step, and the rows of the outputs."""
     A, b, C, d = loop.A, loop.B[..., place], loop.C, loop.D[..., place]
     if loop.cycle == 1:
