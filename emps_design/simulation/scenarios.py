@@ -32,7 +32,6 @@ from emps_design.records.columns import PLAIN, read_title
 from emps_design.records.tables import read_plain_table
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import EVENTS, Run, driven_by
-from emps_design.simulation.synthetic import trapezoid_laps
 from emps_design.units import Units
 
 STEP = math.sqrt(2.0)  # factor from one trial value of a controller parameter to the next
@@ -112,9 +111,6 @@ def _positive(**numbers: float) -> None:
     for name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name}: found {value:g}, expected a positive number")
-
-
-__all__ = ["force_ramp", "half_ramp_program", "multi_sine", "trapezoid_laps"]
 
 
 def unstable(axis: Axis, error: SimulationError, simulate: Callable[[Axis], Any]) -> UnstableError:

@@ -9,7 +9,7 @@ from emps_design.machines import machine
 from emps_design.records import read_record
 from emps_design.simulation import Hand, Plant, Run
 from emps_design.simulation.run import SIGNALS, STORED
-from emps_design.simulation.scenarios import trapezoid_laps
+from emps_design.simulation.synthetic import trapezoid_laps
 from tests.physics.cases import CASES
 
 
