@@ -72,7 +72,9 @@ def driven_by(axis: Axis, record: Record) -> dict[str, Any]:
 def commands_of(
     law: Law, reference: np.ndarray, q: np.ndarray, limit: float, f_ext: np.ndarray | None = None
 ) -> np.ndarray:
-    """What ``law`` gives (n,) for what it follows, the position and the sensed force (n,), from rest, compiled.
+    """Return the commands (n,) of ``law`` for its ``reference``, the position ``q`` and the sensed force, from rest.
+
+    All are (n,), SI; the law's kernel runs compiled.
 
     >>> from emps_design.laws import law_of
     >>> from emps_design.machines import machine
@@ -84,15 +86,15 @@ def commands_of(
     if law.error_alone:
         reference, q = np.zeros(q.size), q - reference
     gains = np.ascontiguousarray(np.atleast_2d(np.asarray(law.gains, dtype=float)))
-    given = (np.ascontiguousarray(reference, dtype=float), np.ascontiguousarray(q, dtype=float), sensed, float(limit))
+    signals = (np.ascontiguousarray(reference, dtype=float), np.ascontiguousarray(q, dtype=float), sensed, float(limit))
     out = np.empty(q.size)
-    _along(address(law.kernel, "law"), *given, gains, np.zeros(max(law.memory, 1)), out)
+    _along(address(law.kernel, "law"), *signals, gains, np.zeros(max(law.memory, 1)), out)
     return out
 
 
 @cached()
 def _along(law, reference, q, sensed, limit, gains, memory, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` (n,) with what the law at address ``law`` asks for, with gains by sample where they have rows."""
+    """Fill ``out`` (n,) with the commands of the law at address ``law``; ``gains`` have one row, or one a sample."""
     rows, memory_, stride = pointer(gains), pointer(memory), gains.shape[1] * int(gains.shape[0] > 1)
     for k in range(q.size):
         out[k] = call_law(law, k, reference[k], q[k], sensed[k], limit, shifted(rows, k * stride), memory_)
