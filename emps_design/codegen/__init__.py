@@ -1,4 +1,4 @@
-"""Control laws as code for a drive, translated from the law's own kernel: C99, Structured Text, and proof with it."""
+"""Control laws as code, translated from the law's kernel: C99, Structured Text, FMI and JSON, with test vectors."""
 
 import lazy_loader
 

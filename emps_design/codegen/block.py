@@ -1,10 +1,7 @@
-"""What is exported: a controller with its numbers, run here as the simulation runs it.
+"""The blocks that are exported: a controller or an observer with its numbers, run here as the simulation runs it.
 
-The kernels of an axis's effects as functions of position, velocity and motor force, their numbers in place.
-
-The on-line force observer, with what the effects of the axis add, as one more equation that is exported.
-
-The feed-forward of a block: the effects' own kernels with their numbers in place, and what adds them up.
+The kernels of an axis's effects join a block as functions of position, velocity and motor force, with their numbers: in
+the on-line force observer as terms of its equation, beside a controller as its feed-forward.
 """
 
 from __future__ import annotations
@@ -52,14 +49,14 @@ from emps_design.simulation.kernels.inverse import PASSES, SETTLED
 if TYPE_CHECKING:
     from emps_design.axis import Axis
 
-COMPARED: dict[str, Callable[[Any, Any], bool]] = {
+COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
 }  # fmt: skip
 KERNEL = (REAL, REAL, REAL, REAL, ARRAY, ARRAY, ARRAY)  # arguments of an effect's kernel
 
-COMMAND = "command"  # what the observer is given in place of a reference
+COMMAND = "command"  # what the observer takes in place of a reference
 
-WIDENINGS = 20  # of the bound of a force that depends on itself
+WIDENINGS = 20  # doublings, at most, of the bound of a force that depends on itself
 INPUTS = ("ahead_q", "ahead_v", "ahead_a")
 
 NO_LIMIT = 1e30  # N, which single precision holds
@@ -78,7 +75,7 @@ class Part:
 
     @property
     def reads_the_force(self) -> bool:
-        """Whether the kernel's answer depends on the motor force."""
+        """Whether the kernel depends on the motor force."""
         return list(self.program.kernel.parameters)[2] in names_in(self.program.kernel.body)
 
 
@@ -122,36 +119,36 @@ def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
     arrays = {own: p.tolist(), baseline: b.tolist()}
     tables: dict[str, Function] = {}
 
-    def put(one: Any) -> Any:
-        if isinstance(one, Name) and one.name == t:
+    def put(node: Any) -> Any:
+        if isinstance(node, Name) and node.name == t:
             return Number(0.0, REAL)
-        if isinstance(one, Binary) and one.type == INT and isinstance(one.left, Number) and one.operator == "+":
-            return Number(one.left.value + one.right.value, INT) if isinstance(one.right, Number) else one
-        if isinstance(one, If):
-            return _taken(one)
-        if not isinstance(one, Cell) or one.array not in arrays:
-            return one
-        numbers = arrays[str(one.array)]
-        if isinstance(one.index, Number):
-            return Number(numbers[int(one.index.value)], REAL)
-        table = tables.setdefault(str(one.array), _table(f"{one.array}_at", numbers))
-        return Apply(table.name, (one.index,))
+        if isinstance(node, Binary) and node.type == INT and isinstance(node.left, Number) and node.operator == "+":
+            return Number(node.left.value + node.right.value, INT) if isinstance(node.right, Number) else node
+        if isinstance(node, If):
+            return _folded_branch(node)
+        if not isinstance(node, Cell) or node.array not in arrays:
+            return node
+        numbers = arrays[str(node.array)]
+        if isinstance(node.index, Number):
+            return Number(numbers[int(node.index.value)], REAL)
+        table = tables.setdefault(str(node.array), _table(f"{node.array}_at", numbers))
+        return Apply(table.name, (node.index,))
 
     body = rewritten(kernel.body, put)
     function = Function(kernel.name, {name: REAL for name in (q, v, tau)}, kernel.variables, body)
     return replace(program, functions=(*tables.values(), function))
 
 
-def _taken(branch: If) -> Any:
-    """The way that is taken where two numbers are compared, ``branch`` itself elsewhere."""
+def _folded_branch(branch: If) -> Any:
+    """The block that runs where ``branch`` compares two numbers; ``branch`` itself elsewhere."""
     test = branch.condition
     if isinstance(test, Binary) and isinstance(test.left, Number) and isinstance(test.right, Number):
-        return branch.then if COMPARED[test.operator](test.left.value, test.right.value) else branch.otherwise
+        return branch.then if COMPARISONS[test.operator](test.left.value, test.right.value) else branch.otherwise
     return branch
 
 
 def _table(name: str, numbers: list[float]) -> Function:
-    """The number at a place that is computed, the last beyond them."""
+    """A function that returns the number at ``place`` of ``numbers``, the last one beyond them."""
     place, rest = Name("place", INT), Return(Number(numbers[-1], REAL))
     cases = [
         If(Binary("==", place, Number(i, INT), TRUTH), (Return(Number(number, REAL)),), ())
@@ -167,20 +164,24 @@ class ObserverTable(LawTable):
 
 
 def observer_of(axis: Axis, cutoff_hz: float) -> ForceObserver:
-    """The observer of ``axis``: what a back-EMF brakes joins the viscous friction."""
+    """The observer of ``axis``, with the braking of the back-EMF in the viscous friction."""
     return ForceObserver(axis.replace(mechanics={"viscous": axis.damping}, drive={"back_emf": 0.0}), cutoff_hz)
 
 
 def observed_parts(axis: Axis) -> tuple[Part, ...]:
-    """The kernels of the effects of ``axis``; :class:`InputError` for those that no position and velocity give."""
+    """The kernels of the effects of ``axis``.
+
+    Raises :class:`InputError` for effects whose force is no function of position and velocity."""
     named = list(zip(names_of_effects(axis), axis.effects, strict=True))
-    reasons = [f"{name}, {reason}" for name, one in named if (reason := why_not(one.effect))]
+    reasons = [f"{name}, {reason}" for name, axis_effect in named if (reason := why_not(axis_effect.effect))]
     if reasons:
         raise InputError(
             f"observer of {axis.name}: found {'; '.join(reasons)}; "
             "take such effects out of the axis file, or observe on the record"
         )
-    effects = ((name, one.effect, one.effect.values(one.parameters)) for name, one in named)
+    effects = (
+        (name, axis_effect.effect, axis_effect.effect.values(axis_effect.parameters)) for name, axis_effect in named
+    )
     return parts_of(effects, axis.mechanics.array())
 
 
@@ -190,37 +191,37 @@ def observer_program(parts: Iterable[Part]) -> Program:
     functions: list[Function] = []
     calls: dict[str, list[str]] = {f"added_{hook}": [] for hook in ADDED}
     for part in parts:
-        own = _renamed(part.program, f"{part.term}_{part.hook}")
+        own = _with_prefix(part.program, f"{part.term}_{part.hook}")
         functions += own.functions
         plain = Program(plain.functions, plain.calls | own.calls)
         calls[f"added_{part.hook}"].append(own.kernel.name)
     for function in plain.functions:
         added = calls.get(function.name)
         if added:
-            given = tuple(Name(name, REAL) for name in function.parameters)
-            total: Expression = Apply(added[0], given)
+            arguments = tuple(Name(name, REAL) for name in function.parameters)
+            total: Expression = Apply(added[0], arguments)
             for name in added[1:]:
-                total = Binary("+", total, Apply(name, given), REAL)
+                total = Binary("+", total, Apply(name, arguments), REAL)
             function = Function(function.name, function.parameters, {}, (Return(total),))
         functions.append(function)
-    nothing = {name for name, added in calls.items() if not added}
+    empty_hooks = {name for name, added in calls.items() if not added}
 
-    def drop(one: Any) -> Any:
-        """What is left of a sum with nothing."""
-        empty = isinstance(one, Binary) and isinstance(one.right, Apply) and one.right.function in nothing
-        return one.left if empty else one
+    def drop(node: Any) -> Any:
+        """The left term of a sum whose right term is a hook without kernels."""
+        drops = isinstance(node, Binary) and isinstance(node.right, Apply) and node.right.function in empty_hooks
+        return node.left if drops else node
 
-    kept = tuple(rewritten(function, drop) for function in functions if function.name not in nothing)
+    kept = tuple(rewritten(function, drop) for function in functions if function.name not in empty_hooks)
     return Program(kept, plain.calls)
 
 
-def _renamed(program: Program, prefix: str) -> Program:
+def _with_prefix(program: Program, prefix: str) -> Program:
     """``program`` with ``prefix`` before the names of its functions."""
 
-    def rename(one: Any) -> Any:
-        if isinstance(one, Apply):
-            return replace(one, function=f"{prefix}_{one.function}")
-        return replace(one, name=f"{prefix}_{one.name}") if isinstance(one, Function) else one
+    def rename(node: Any) -> Any:
+        if isinstance(node, Apply):
+            return replace(node, function=f"{prefix}_{node.function}")
+        return replace(node, name=f"{prefix}_{node.name}") if isinstance(node, Function) else node
 
     return rewritten(program, rename)
 
@@ -267,7 +268,7 @@ OBSERVER = LawKind(
 
 @dataclass(frozen=True)
 class Ahead:
-    """What is fed forward: the ``parts``, and the numbers of the baseline that count."""
+    """A feed-forward: the ``parts`` of its effects, and the numbers of the baseline that it uses."""
 
     feedforward: FeedForward
     parts: tuple[Part, ...]
@@ -282,7 +283,7 @@ class Ahead:
 
     @property
     def repeats(self) -> bool:
-        """Whether a kernel reads the motor force, so that the sum depends on itself."""
+        """Whether a kernel depends on the motor force, so that the sum depends on itself."""
         return any(part.reads_the_force for part in self.parts)
 
     @property
@@ -295,9 +296,10 @@ class Ahead:
         return self.feedforward.command(q, v, a)
 
     def rounded(self, motion: Sequence[float], now: Roundings) -> tuple[Rounded, bool]:
-        """The same in single precision for one sample of the motion, and whether rounding decides a comparison.
+        """Command in single precision for one sample of the motion, and whether rounding decides a comparison.
 
-        A sum that depends on itself may settle after fewer or more passes there: the bound holds for all of them.
+        A sum that depends on itself may settle after fewer or more passes than in double precision: the bound holds
+        for all of them.
         """
         tau, within, several, stops, settled = 0.0, 0.0, False, list[tuple[float, float]](), False
         for _ in range(self.passes):
@@ -311,13 +313,13 @@ class Ahead:
                 break
         stops.append((tau, within))
         stops += self._later(motion, tau, within, now) if self.repeats and settled else []
-        force = now.within(tau, max(abs(one - tau) + bound for one, bound in stops))
+        force = now.within(tau, max(abs(end - tau) + bound for end, bound in stops))
         if self.feedforward.back_emf:
             force = force + now.constant(self.feedforward.back_emf) * motion[1]
         return force / self.feedforward.axis.drive.gain, several
 
     def _later(self, motion: Sequence[float], tau: float, within: float, now: Roundings) -> list[tuple[float, float]]:
-        """Where passes after the last of double precision may lead: no further than what a pass leads back into."""
+        """Bound of the passes that single precision may add: a pass maps the interval around ``tau`` into itself."""
         for _ in range(WIDENINGS):
             within *= 2.0
             then, bound, _ = self._pass(motion, tau, within, now)
@@ -327,7 +329,8 @@ class Ahead:
         return []
 
     def _pass(self, motion: Sequence[float], tau: float, within: float, now: Roundings) -> tuple[float, float, bool]:
-        """One sum, from a motor force that single precision has ``within`` so much of ``tau``; its value and bound."""
+        """One pass, from a motor force within ``within`` of ``tau``: value and bound of the sum, and whether
+        rounding decides a comparison."""
         own = Roundings()
         before, added = own.within(tau, within), rounded_sums(self.parts, own)
 
@@ -363,7 +366,7 @@ class Block:
     def of(cls, axis: Axis, ahead: Ahead | None = None) -> Block:
         """Read the controller of ``axis``; :class:`AxisError` without one, ``InputError`` for no plain arithmetic.
 
-        ``ahead`` is fed forward beside it, and the law is then given its error alone.
+        ``ahead`` is its feed-forward; the law then runs on its error alone.
 
         >>> from emps_design.machines import machine
         >>> Block.of(machine("emps2019")).program.kernel.name
@@ -388,12 +391,12 @@ class Block:
 
     @property
     def observes(self) -> bool:
-        """Whether it is an observer: the command goes in, a force comes out, without a limit."""
+        """Whether it is an observer: command in, force out, no limit."""
         return self.kind is OBSERVER
 
     @property
     def waits(self) -> int | None:
-        """Place in the memory of what waits while the limit acts on the sum of law and feed-forward; None: nothing."""
+        """Place in the memory of the integral that is held while the limit acts on law plus feed-forward, or None."""
         return None if self.ahead is None else self.law.integral
 
     @property
@@ -411,13 +414,13 @@ class Block:
     ) -> Any:
         """Command (n,) and memory (n, memory) after each sample, by the machine code that simulations run.
 
-        ``start`` (n,) is True where the block begins anew; ``reference`` (n,) [m or m/s], ``q`` (n,) [m], ``f_ext``
+        ``start`` (n,) is True where the block restarts; ``reference`` (n,) [m or m/s], ``q`` (n,) [m], ``f_ext``
         (n,) [N]; ``motion`` is position, velocity and acceleration (n,) of the reference that is fed forward.
         """
         if self.law.error_alone:
             reference, q = np.zeros(q.size), q - reference
         added = np.zeros(q.size) if self.ahead is None else self.ahead.command(*motion)
-        u, states = self._answers(start, reference, q, f_ext, added)
+        u, states = self._run_law(start, reference, q, f_ext, added)
         return np.clip(u, -self.limit, self.limit), states
 
     def rounded_kernel(self, now: Roundings) -> Any:
@@ -425,34 +428,33 @@ class Block:
         kernel = on_rounded(self.kind.kernel)
         if not self.parts:
             return kernel
-        return with_effects(kernel, {f"added_{hook}": one for hook, one in rounded_sums(self.parts, now).items()})
+        return with_effects(kernel, {f"added_{hook}": total for hook, total in rounded_sums(self.parts, now).items()})
 
-    def _answers(
+    def _run_law(
         self, start: np.ndarray, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray, added: np.ndarray
     ) -> Any:
-        """What the law answers with what is ``added`` (n,), before the drive's limit, and its memory (n, memory)."""
-        kernel, gains, memory = self._python() if self.observes else self._compiled()
+        """Command (n,) of the law plus ``added`` (n,), before the drive's limit, and its memory (n, memory)."""
+        if self.observes:
+            kernel, gains, memory = self.law.kernel, self.law.gains.tolist(), [0.0] * self.law.memory
+        else:
+            kernel, gains, memory = self._compiled()
         u, states, k, limit = np.empty(q.size), np.empty((q.size, self.law.memory)), 0, self.limit
         signals = zip(start.tolist(), reference.tolist(), q.tolist(), f_ext.tolist(), strict=True)
-        for i, (anew, *given) in enumerate(signals):
-            if anew:
+        for i, (restart, *inputs) in enumerate(signals):
+            if restart:
                 k = 0
                 for j in range(self.law.memory):
                     memory[j] = 0.0
             integral = None if self.waits is None else memory[self.waits]
-            u[i] = kernel(k, *given, limit, gains, memory) + added[i]
+            u[i] = kernel(k, *inputs, limit, gains, memory) + added[i]
             if integral is not None and abs(u[i]) > limit:
                 memory[self.waits] = integral
             states[i] = memory[: self.law.memory]
             k += 1
         return u, states
 
-    def _python(self) -> Any:
-        """The kernel as it is, its gains and its memory."""
-        return self.law.kernel, self.law.gains.tolist(), [0.0] * self.law.memory
-
     def _compiled(self) -> Any:
-        """The kernel in the machine code of the simulation, and where its gains and its memory are."""
+        """The kernel in the machine code of the simulation, and C arrays of its gains and its memory."""
         from emps_design.simulation.kernels.compile import address
 
         number, numbers = ctypes.c_double, ctypes.POINTER(ctypes.c_double)

@@ -1,6 +1,6 @@
-"""Write a controller as code into a folder: C99, Structured Text, units of FMI 3.0, JSON, with its proof.
+"""Write a controller as code into a folder: C99, Structured Text, units of FMI 3.0 or JSON, with test vectors.
 
-Units of FMI 3.0 for co-simulation: the controller, and the virtual machine with its effects, source and binary.
+The units of FMI 3.0 are for co-simulation: the controller, and the virtual machine with its effects, source and binary.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ LONGEST = 300  # s, of a compilation
 ROWS = 1000  # of the machine's vectors
 MOMENT = (1980, 1, 1, 0, 0, 0)  # of every file in a unit, so that the same axis gives the same bytes
 
-UNTOLD = "whether the loop is stable was not checked: the law is not linear while the carriage slides"
-NOTHING_KEPT = "the compensation keeps no term: the law alone was written"
-LEAST = float(np.finfo(np.float32).tiny)  # speed that single precision divides by
+STABILITY_UNCHECKED = "whether the loop is stable was not checked: the law is not linear while the carriage slides"
+NO_TERM_KEPT = "the compensation keeps no term: the law alone was written"
+LEAST = float(np.finfo(np.float32).tiny)  # smallest speed by which single precision can divide
 NO_COMPILER = "no C compiler was found: the units hold their source alone, for the importing tool to compile"
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A number that goes in or out: its ``name``, ``causality`` and ``unit``, and what it is."""
+    """A number that goes in or out: its ``name``, ``causality``, ``unit`` and ``description``."""
 
     name: str
     causality: str
     unit: str
-    said: str
+    description: str
 
 
 def in_fmu(name: str, block: Block, vectors: Vectors) -> Files:
@@ -78,7 +78,7 @@ def in_fmu(name: str, block: Block, vectors: Vectors) -> Files:
 
 
 def controller_unit(name: str, block: Block, vectors: Vectors) -> bytes:
-    """The controller of ``block`` as a unit: what it follows and measures in, its command out."""
+    """The controller of ``block`` as a unit: reference and measurements in, command out."""
     unit, words = block.axis.units.unit, words_of(name, block)
     ahead = 0.0 if block.ahead is None else block.ahead.feedforward.wait
     inputs = [
@@ -91,14 +91,14 @@ def controller_unit(name: str, block: Block, vectors: Vectors) -> bytes:
         ),
     ]
     output = Variable("u", "output", unit("V"), "command of the last sample of the step")
-    names = ", ".join(one.name.upper() for one in (*inputs, output))
-    given = ", ".join(f"value[{one.name.upper()}]" for one in inputs)
+    names = ", ".join(variable.name.upper() for variable in (*inputs, output))
+    arguments = ", ".join(f"value[{variable.name.upper()}]" for variable in inputs)
     code = (
         f'#include <string.h>\n\n#include "{name}.h"\n\n'
         f"enum {{ TIME, {names}, VALUES, PARAMETER = VALUES }};\nstatic const double START[VALUES] = {{0}};\n"
         f"typedef {name}_state model;\n\n"
         f"static void model_begin(model *m, double *value)\n{{\n    {name}_init(m);\n    value[U] = 0.0;\n}}\n\n"
-        f"static int model_step(model *m, double *value)\n{{\n    value[U] = {name}_step(m, {given});\n"
+        f"static int model_step(model *m, double *value)\n{{\n    value[U] = {name}_step(m, {arguments});\n"
         "    return 1;\n}\n"
     )
     made = in_c(name, block, vectors)
@@ -136,12 +136,12 @@ def machine_vectors(axis: Axis) -> str:
 
 
 def compiler() -> str:
-    """The C compiler with which a unit gets its binary; nothing where there is none, or no platform known here."""
+    """Path of the C compiler for the binary of a unit; "" where there is none, or on another platform than Linux."""
     return (shutil.which("cc") or shutil.which("gcc") or "") if sys.platform == "linux" else ""
 
 
 def binary_for() -> str:
-    """The platform of the binaries, as FMI 3.0 calls it; nothing where units hold their source alone."""
+    """The platform of the binaries, as FMI 3.0 names it; "" where units hold their source alone."""
     return f"{platform.machine()}-linux" if compiler() else ""
 
 
@@ -164,9 +164,9 @@ def _unit(
         "note": note,
         "token": "",
         "code": code,
-        "settable": sum(one.causality == "input" for one in variables),
-        "variables": [asdict(one) for one in variables],
-        "units": sorted({"s", *(one.unit for one in variables)}),
+        "settable": sum(variable.causality == "input" for variable in variables),
+        "variables": [asdict(variable) for variable in variables],
+        "units": sorted({"s", *(variable.unit for variable in variables)}),
     }
     plain = "".join([template("fmu.c").render(words), *sources.values()])
     words["token"] = hashlib.sha256(plain.encode()).hexdigest()
@@ -188,7 +188,7 @@ def _unit(
 
 
 def _compiled(name: str, sources: Mapping[str, str]) -> bytes:
-    """The shared library of ``sources``; raises :class:`EmpsError` where the compiler does not take them."""
+    """The shared library of ``sources``; raises :class:`EmpsError` where they do not compile."""
     with tempfile.TemporaryDirectory() as folder:
         for file, text in sources.items():
             Path(folder, file).write_text(text, encoding="utf-8")
@@ -205,7 +205,7 @@ def _compiled(name: str, sources: Mapping[str, str]) -> bytes:
 
 @dataclass(frozen=True)
 class Exported:
-    """What was exported: the ``files`` by name with their text, and the ``vectors`` they were proved with.
+    """What was exported: the ``files`` by name with their text, and the ``vectors`` that test them.
 
     ``checked``: whether the loop was found stable; ``bare``: a compensation was given, and keeps nothing.
     """
@@ -225,8 +225,8 @@ class Exported:
                 write_text(aside / name, text) if isinstance(text, str) else (aside / name).write_bytes(text)
 
     def to_dict(self) -> dict[str, Any]:
-        """Names of the files and what the vectors are."""
-        bound = [one for one in self.vectors.bound.tolist() if math.isfinite(one)]
+        """Names and hashes of the files, size and bounds of the vectors, operations, drive settings, as plain data."""
+        bounds = [bound for bound in self.vectors.bound.tolist() if math.isfinite(bound)]
         return {
             "name": self.name,
             "target": self.target,
@@ -238,17 +238,17 @@ class Exported:
             "vectors": {
                 "rows": int(self.vectors.q.size),
                 "inputs": list(self.vectors.titles),
-                "states": int(self.vectors.answers[1].shape[1]),
-                "single_precision_bound": max(bound, default=None),
-                "rows_without_bound": int(self.vectors.q.size - len(bound)),
+                "states": int(self.vectors.outputs[1].shape[1]),
+                "single_precision_bound": max(bounds, default=None),
+                "rows_without_bound": int(self.vectors.q.size - len(bounds)),
                 "rows_that_rounding_decides": int(self.vectors.undecided.sum()),
             },
             "operations": operations_of(self.block),
             "drives": drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis)),
             "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
-            "warnings": [UNTOLD] * (not self.checked)
-            + [NOTHING_KEPT] * self.bare
+            "warnings": [STABILITY_UNCHECKED] * (not self.checked)
+            + [NO_TERM_KEPT] * self.bare
             + [NO_COMPILER] * (self.target == "fmu" and not binary_for()),
         }
 
@@ -288,13 +288,13 @@ def export_controller(
     if target not in TARGETS:
         raise InputError(f"`target`: found {target!r}, expected one of {', '.join(TARGETS)}")
     block = replace(Block.of(axis, None if compensation is None else _ahead(axis, compensation)), origin=origin)
-    checked = _checked(axis)
+    checked = _loop_stable(axis)
     name, vectors = block_name(axis.name), vectors_of(block)
     bare = compensation is not None and block.ahead is None
     return Exported(name, target, block, vectors, TARGETS[target](name, block, vectors), checked, bare)
 
 
-def _checked(axis: Axis) -> bool:
+def _loop_stable(axis: Axis) -> bool:
     """Whether the loop of ``axis`` is stable; False where a law is not linear, :class:`UnstableError` where not."""
     try:
         loop = axis_loop(axis)
@@ -307,21 +307,21 @@ def _checked(axis: Axis) -> bool:
     return True
 
 
-def _ahead(axis: Axis, found: Mapping[str, Any]) -> Ahead | None:
+def _ahead(axis: Axis, compensation: Mapping[str, Any]) -> Ahead | None:
     """The feed-forward of a ``compensation`` for this ``axis``, checked; None where nothing was worth it."""
-    kept, reversal, taken = found.get("kept"), found.get("reversal"), found.get("law_taken_off")
+    kept, reversal, taken = compensation.get("kept"), compensation.get("reversal"), compensation.get("law_taken_off")
     if not isinstance(kept, list) or not isinstance(reversal, int | float) or not isinstance(taken, bool):
         raise InputError("compensation: found no kept, reversal and law_taken_off, expected what compensate writes")
     speed = math.nan if isinstance(reversal, bool) else float(reversal)
     if not (math.isfinite(speed) and (speed == 0.0 or speed >= LEAST)):
         raise InputError(f"compensation: found a reversal of {speed:g}, expected a speed that compensate writes")
     unknown = [str(term) for term in kept if term not in terms_of(axis)[0]]
-    if unknown or found.get("axis") != axis.name:
+    if unknown or compensation.get("axis") != axis.name:
         raise InputError(
-            f"compensation: found the terms {', '.join(map(str, kept))} of the axis {found.get('axis')}, expected "
-            f"those of {axis.name}; run compensate on this axis"
+            f"compensation: found the terms {', '.join(map(str, kept))} of the axis {compensation.get('axis')}, "
+            f"expected those of {axis.name}; run compensate on this axis"
         )
-    if found.get("axis_sha256") != digest_of(axis):
+    if compensation.get("axis_sha256") != digest_of(axis):
         raise InputError(
             f"compensation: found one of {axis.name} with other numbers or another controller, expected one of this "
             "axis; run compensate on it"

@@ -1,8 +1,7 @@
-"""A program in the languages of drives: C99, with nothing but ``math.h``, and Structured Text of IEC 61131-3.
+"""A program in the languages of drives: C99 and Structured Text of IEC 61131-3.
 
-A program as C99: one typedef for the numbers, nothing but ``math.h``.
-
-A program as Structured Text of IEC 61131-3: functions that a function block calls, in LREAL or in REAL.
+C99 has one typedef for the numbers and needs ``math.h`` alone. Structured Text has functions in LREAL or REAL that a
+function block calls.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ C_KEYWORDS = frozenset(
     )
 )
 TYPES = {REAL: "real", INT: "long long"}
-# Functions of the language that C does not have under that meaning: Python's own, to the bit.
+# Functions that C lacks or defines differently: with Python's meaning, to the bit.
 HELPERS = {
     "min": "static real min(real a, real b)\n{\n    return b < a ? b : a;\n}",
     "max": "static real max(real a, real b)\n{\n    return b > a ? b : a;\n}",
@@ -85,7 +84,7 @@ class CPrinter(Printer):
 
     reserved = C_KEYWORDS | frozenset(HELPERS) | frozenset({"r", "fn", "real"})
     operators = {  # noqa: RUF012
-        **{one: one for one in ("==", "!=", "<", "<=", ">", ">=", "+", "-", "*", "/")},
+        **{operator: operator for operator in ("==", "!=", "<", "<=", ">", ">=", "+", "-", "*", "/")},
         "and": "&&", "or": "||", "not": "!",
     }  # fmt: skip
     constants: dict[str, dict[str, str]] = {}  # noqa: RUF012
@@ -116,7 +115,7 @@ class CPrinter(Printer):
         return f"{TYPES[kind]} {name}"
 
     def block(self, steps: tuple[Statement, ...]) -> list[str]:
-        """Statements with the declarations of what no other block uses, each at the first value where it can be."""
+        """Statements with the declarations of this block's own variables, at the first assignment where possible."""
         here = [name for name in self.types if _belongs(name, steps)]
         outer, self.types = self.types, {name: kind for name, kind in self.types.items() if name not in here}
         late = {name: next(step for step in steps if name in names_of(step)) for name in here}
@@ -139,23 +138,23 @@ class CPrinter(Printer):
         self.types = outer
         return lines
 
-    def literal(self, one: Number) -> str:
+    def literal(self, number: Number) -> str:
         """A constant; ``R()`` gives it the type of the build."""
-        if one.type == INT:
-            return str(one.value)
-        return f"R({float(one.value)!r})"
+        if number.type == INT:
+            return str(number.value)
+        return f"R({float(number.value)!r})"
 
-    def call(self, one: Call, arguments: list[str]) -> str:
+    def call(self, call: Call, arguments: list[str]) -> str:
         """A function of ``math.h`` by the type of the build, a helper, a conversion or a choice."""
         inside = ", ".join(arguments)
-        if one.function == "choose":
+        if call.function == "choose":
             condition, then, otherwise = arguments
             return f"(({condition}) ? {then} : {otherwise})"
-        if one.function == "real":
+        if call.function == "real":
             return f"R({inside})"
-        if one.function == "int":
+        if call.function == "int":
             return f"(long long)({inside})"
-        return f"{one.function}({inside})" if one.function in HELPERS else f"FN({one.function})({inside})"
+        return f"{call.function}({inside})" if call.function in HELPERS else f"FN({call.function})({inside})"
 
     def assigned(self, target: str, value: str) -> str:
         """An assignment."""
@@ -207,13 +206,13 @@ def _belongs(name: str, steps: tuple[Statement, ...]) -> bool:
 
 def _written(steps: tuple[Statement, ...]) -> set[str]:
     """Arrays that ``steps`` write to; one that is handed on counts."""
-    found: set[str] = set()
+    arrays: set[str] = set()
     for step in steps:
         if isinstance(step, Assign):
-            found |= {str(step.target.array)} if isinstance(step.target, Cell) else set()
+            arrays |= {str(step.target.array)} if isinstance(step.target, Cell) else set()
         if isinstance(step, If | For | While):
-            found = found.union(*map(_written, parts(step)[0]))
-    return found
+            arrays = arrays.union(*map(_written, parts(step)[0]))
+    return arrays
 
 
 class StPrinter(Printer):
@@ -221,7 +220,7 @@ class StPrinter(Printer):
 
     reserved = ST_KEYWORDS
     operators = {  # noqa: RUF012
-        **{one: one for one in ("<", "<=", ">", ">=", "+", "-", "*", "/")},
+        **{operator: operator for operator in ("<", "<=", ">", ">=", "+", "-", "*", "/")},
         "==": "=", "!=": "<>", "and": "AND", "or": "OR", "not": "NOT ",
     }  # fmt: skip
     sizes: dict[str, int]  # of the kernel's arrays
@@ -251,7 +250,9 @@ class StPrinter(Printer):
         ]
         lines = [f"FUNCTION {self.own} : {self.real}"]
         for title, declared in sections:
-            lines += [title, *(f"{self.indent}{one}" for one in declared), "END_VAR"] if declared else []
+            lines += (
+                [title, *(f"{self.indent}{declaration}" for declaration in declared), "END_VAR"] if declared else []
+            )
         return "\n".join([*lines, *(line.removeprefix(self.indent) for line in body), "END_FUNCTION"])
 
     def helper(self, name: str) -> str:
@@ -261,30 +262,30 @@ class StPrinter(Printer):
         head = f"FUNCTION {words['name']} : {kind.format(**words)}\nVAR_INPUT\n    {inputs.format(**words)};\nEND_VAR"
         return f"{head}\n{body.format(**words)}\nEND_FUNCTION"
 
-    def literal(self, one: Number) -> str:
+    def literal(self, number: Number) -> str:
         """A constant: a real one always has a point."""
-        if one.type == INT:
-            return str(one.value)
-        return st_number(one.value)
+        if number.type == INT:
+            return str(number.value)
+        return st_number(number.value)
 
-    def index(self, one: Expression) -> str:
+    def index(self, place: Expression) -> str:
         """A place in an array: whole numbers are LINT, places need not be more than DINT."""
-        return str(one.value) if isinstance(one, Number) else f"LINT_TO_DINT({self.expression(one)})"
+        return str(place.value) if isinstance(place, Number) else f"LINT_TO_DINT({self.expression(place)})"
 
-    def call(self, one: Call, arguments: list[str]) -> str:
+    def call(self, call: Call, arguments: list[str]) -> str:
         """A standard function, a helper or a conversion."""
         inside = ", ".join(arguments)
-        if one.function == "real":
+        if call.function == "real":
             return f"LINT_TO_{self.real}({inside})"
-        if one.function == "int":
+        if call.function == "int":
             return f"DINT_TO_LINT(TRUNC({inside}))"
-        if one.function in BODIES:
-            if one.function == "choose" and one.type == INT:
+        if call.function in BODIES:
+            if call.function == "choose" and call.type == INT:
                 raise InputError("found a choice between whole numbers, which has no translation; expected an if")
-            return f"{self.prefix}_{one.function}({inside})"
-        if one.function not in CALLS:
-            raise InputError(f"found {one.function}, which Structured Text does not have; expected {', '.join(CALLS)}")
-        return f"{CALLS[one.function]}({inside})"
+            return f"{self.prefix}_{call.function}({inside})"
+        if call.function not in CALLS:
+            raise InputError(f"found {call.function}, which Structured Text does not have; expected {', '.join(CALLS)}")
+        return f"{CALLS[call.function]}({inside})"
 
     def assigned(self, target: str, value: str) -> str:
         """An assignment."""
@@ -308,7 +309,7 @@ class StPrinter(Printer):
         return [head, *self.block(step.body), "END_FOR;"]
 
     def branch(self, step: If) -> list[str]:
-        """A branch with its others."""
+        """A branch with its alternatives."""
         lines = [f"IF {self.expression(step.condition)} THEN", *self.block(step.then)]
         rest: tuple[Statement, ...] = step.otherwise
         while len(rest) == 1 and isinstance(rest[0], If):

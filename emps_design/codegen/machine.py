@@ -1,12 +1,11 @@
 """The virtual machine as C: the axis with its effects, by translation of the stepper that its simulations run.
 
-Read the simulation's own stepper: what :mod:`.reader` takes, and what only a whole simulation needs.
+:class:`StepperReader` reads the stepper. Besides what :mod:`.reader` reads it has ``while``, ``break``, ``continue``,
+truth values in variables, several values at once, arrays that begin inside others, and kernels called by their number.
+Numbers known beforehand (``fixed``) are put in while reading, and branches that they exclude are left out.
 
-Besides arithmetic a stepper has ``while``, ``break``, ``continue``, truth values in variables, several values at once,
-arrays that begin inside others, and kernels called by their number. What is known beforehand (``fixed``) is computed
-while reading, and what it decides against is left out.
-
-A stepper as C99: several values are a structure, and the loop over samples is opened, so that one is a call.
+:class:`StepperPrinter` prints it as C99: several values are a structure, and the loop over samples is cut open, so that
+one sample is one call.
 """
 
 from __future__ import annotations
@@ -57,13 +56,13 @@ from emps_design.simulation.kernels import compile as compiled, hold_loop
 from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.plant import HOOKS
 
-MORE: dict[Any, str] = {np.floor: "floor", np.ceil: "ceil", np.sqrt: "sqrt"}  # and what C has, a drive need not
+MORE: dict[Any, str] = {np.floor: "floor", np.ceil: "ceil", np.sqrt: "sqrt"}  # in C, but perhaps not on a drive
 MORE |= {
     getattr(math, name): name
     for name in ("expm1", "log1p", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "atan2", "hypot", "copysign",
                  "fmod", "log10", "log2", "erf", "erfc")
 }  # fmt: skip
-BY_NUMBER = {  # kernels called by their number: what they answer
+BY_NUMBER = {  # functions that call kernels by their number: name, type of the result
     compiled.call_kernel: ("call_kernel", REAL),
     compiled.call_actuator: ("call_actuator", REAL),
     compiled.call_rate: ("call_rate", ""),
@@ -72,12 +71,12 @@ COMPARED: dict[type, Callable[[Any, Any], bool]] = {ast.Gt: operator.gt, ast.Not
 EXPONENT = "exponent_of"  # of a number, as ``math.frexp`` has it
 
 KINDS = {**TYPES, ARRAY: "real *", WHOLES: "long long *", TRUTH: "int", "": "void"}
-RING = "RING"  # how many samples the arrays with one number a sample hold
+RING = "RING"  # length of the arrays with one number a sample
 
 POINT = (*[REAL] * 4, *[ARRAY] * 3)  # q, v, t, tau, x, p, b
 FORMS = {"kernel": POINT, "actuator": (REAL, ARRAY), "rate": (*POINT, REAL, ARRAY)}  # arguments of compiled hooks
 INITIAL = (REAL, ARRAY, ARRAY)
-LONGEST = 4096  # samples that a command may be on its way
+LONGEST = 4096  # samples of delay of the command
 ARRAYS = ("y", "gains", "memory", "reference", "push", "noise", "motor_rows", "signals", "floors", "scratch", "out",
           "events")  # fmt: skip
 STEPPER_TYPES = {**dict.fromkeys(ARRAYS, ARRAY), "arrays": f"({ARRAY},{WHOLES},{WHOLES},{ARRAY},{ARRAY})", "law": INT,
@@ -93,14 +92,14 @@ def read_stepper(stepper: Dispatcher, types: Mapping[str, str], fixed: Mapping[s
 
     ``fixed`` are numbers that are known beforehand, by what stands for them, as ``{"law": 0, "push.size": 1}``.
     """
-    found: dict[str, Function] = {}
+    functions: dict[str, Function] = {}
     calls: set[str] = set()
     function = stepper.py_func
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
-    reader = StepperReader(function, source_tree(function), tuple(types[name] for name in names), found, calls, ())
+    reader = StepperReader(function, source_tree(function), tuple(types[name] for name in names), functions, calls, ())
     reader.fixed = dict(fixed)
     reader.read()
-    return Program(tuple(found.values()), frozenset(calls))
+    return Program(tuple(functions.values()), frozenset(calls))
 
 
 def items(kind: str) -> list[str]:
@@ -111,20 +110,20 @@ def items(kind: str) -> list[str]:
 class StepperReader(FunctionReader):
     """Reads one function of the stepper."""
 
-    def __init__(self, *given: Any):
-        super().__init__(*given)
+    def __init__(self, *arguments: Any):
+        super().__init__(*arguments)
         self.result = ""
         self.fixed: dict[str, float] = {}
         stores = [node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name) and type(node.ctx) is ast.Store]
         self.once = {name for name in stores if stores.count(name) == 1}
 
     def read(self) -> None:
-        """Read the function into ``found``, without variables that are known beforehand."""
+        """Read the function into ``functions``, without variables that are known beforehand."""
         super().read()
-        function = self.found[self.tree.name]
+        function = self.functions[self.tree.name]
         used = names_in(function.body)
         variables = {name: kind for name, kind in function.variables.items() if name in used}
-        self.found[self.tree.name] = Function(
+        self.functions[self.tree.name] = Function(
             function.name, function.parameters, variables, function.body, function.result
         )
 
@@ -132,8 +131,8 @@ class StepperReader(FunctionReader):
         """The number that ``node`` is known to be beforehand, None where it is not."""
         if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in COMPARED:
             left, right = (
-                one.value if isinstance(one, ast.Constant) else self.known(one)
-                for one in (node.left, node.comparators[0])
+                side.value if isinstance(side, ast.Constant) else self.known(side)
+                for side in (node.left, node.comparators[0])
             )
             return None if left is None or right is None else COMPARED[type(node.ops[0])](left, right)
         return self.fixed.get(ast.unparse(node))
@@ -170,10 +169,10 @@ class StepperReader(FunctionReader):
         wanted = targets[0].elts
         if isinstance(value, ast.Tuple):
             for place, target in enumerate(wanted):
-                later = [part for one in value.elts[place + 1 :] for part in ast.walk(one)]
+                later = [part for element in value.elts[place + 1 :] for part in ast.walk(element)]
                 if any(isinstance(part, ast.expr) and ast.unparse(part) == ast.unparse(target) for part in later):
                     return self.refuse(value, f"{ast.unparse(target)} set and used in one assignment")
-            return [one for pair in zip(wanted, value.elts, strict=True) for one in self.stored(*pair)]
+            return [statement for pair in zip(wanted, value.elts, strict=True) for statement in self.stored(*pair)]
         whole, before = self.number(value), list[Statement]()
         if not isinstance(whole, Name):
             name = f"several_{len(items(whole.type))}_{sum(map(ord, whole.type))}"
@@ -187,7 +186,7 @@ class StepperReader(FunctionReader):
         ]
 
     def stored(self, target: ast.expr, value: ast.expr) -> list[Statement]:
-        """One assignment; what is known beforehand and set once is not a variable."""
+        """One assignment; a number known beforehand and set once is not a variable."""
         if self.fixed and isinstance(target, ast.Name) and target.id in self.once:
             number = value.value if isinstance(value, ast.Constant) else self.known(value)
             if isinstance(number, int | float):
@@ -210,7 +209,7 @@ class StepperReader(FunctionReader):
         return super().assign(node, value)
 
     def common(self, node: ast.AST, first: str, second: str) -> str:
-        """The type of what is of both types: whole numbers become real."""
+        """The common type of both: whole numbers become real."""
         if first in ("", second):
             return second
         if {first, second} == {REAL, INT}:
@@ -246,7 +245,7 @@ class StepperReader(FunctionReader):
             return self.condition(node)
         if isinstance(node, ast.Tuple):
             each = tuple(map(self.number, node.elts))
-            return Several(each, f"({','.join(one.type for one in each)})")
+            return Several(each, f"({','.join(item.type for item in each)})")
         if isinstance(node, ast.Subscript):
             return self.item(node)
         if isinstance(node, ast.IfExp) and (choice := self.known(node.test)) is not None:
@@ -275,8 +274,8 @@ class StepperReader(FunctionReader):
         if value is not None:
             return Number(int(bool(value)), TRUTH)
         if isinstance(node, ast.Name | ast.Attribute | ast.Subscript | ast.Call):
-            found = self.number(node)
-            return found if found.type == TRUTH else Binary("!=", found, Number(0, INT), TRUTH)
+            number = self.number(node)
+            return number if number.type == TRUTH else Binary("!=", number, Number(0, INT), TRUTH)
         if isinstance(node, ast.IfExp):
             return Call("choose", tuple(map(self.condition, (node.test, node.body, node.orelse))), TRUTH)
         return super().condition(node)
@@ -288,7 +287,7 @@ class StepperReader(FunctionReader):
         return super().power(node, base, exponent)
 
     def call(self, node: ast.Call) -> Expression:
-        """What kernels may call, and compiled parts of the stepper."""
+        """A call of a function that kernels may use, or of a compiled part of the stepper."""
         function = self.value_of(node.func)
         if isinstance(function, Dispatcher):
             return self.apply(node, function.py_func, list(map(self.number, node.args)))
@@ -300,24 +299,26 @@ class StepperReader(FunctionReader):
             name, kind = BY_NUMBER[function]
             return Apply(name, tuple(map(self.number, node.args)), kind)
         if function in MORE:
-            return Call(MORE[function], tuple(real(self.number(one)) for one in node.args), REAL)
+            return Call(MORE[function], tuple(real(self.number(argument)) for argument in node.args), REAL)
         return super().call(node)
 
     def apply(self, node: ast.Call, function: Callable[..., Any], arguments: list[Expression]) -> Expression:
         """A call of a function of the program, with arguments of any type."""
         name = function.__name__
-        if name not in self.found:
-            self.read_function(function, tuple(one.type for one in arguments))
-        wanted = self.found[name].parameters.values()
-        given = tuple(self.converted(node, one, kind) for one, kind in zip(arguments, wanted, strict=True))
-        return Apply(name, given, self.found[name].result)
+        if name not in self.functions:
+            self.read_function(function, tuple(argument.type for argument in arguments))
+        wanted = self.functions[name].parameters.values()
+        converted = tuple(
+            self.converted(node, argument, kind) for argument, kind in zip(arguments, wanted, strict=True)
+        )
+        return Apply(name, converted, self.functions[name].result)
 
 
 @dataclass(frozen=True)
 class Opened:
     """A run over samples in parts: its variables as ``fields``, what comes ``before``, and a sample up to and after.
 
-    ``result`` is the type of what the run answers.
+    ``result`` is the type of its result.
     """
 
     fields: list[str]
@@ -361,39 +362,39 @@ class StepperPrinter(CPrinter):
         return Opened(declared, before, upto, after, self.declared(function.result, ""))
 
     def definitions(self) -> list[str]:
-        """The structures that were used."""
-        found = []
+        """Definitions of the structures in use."""
+        definitions = []
         for kind, name in self.structures.items():
-            inside = " ".join(f"{self.declared(one, f'f{i}')};" for i, one in enumerate(items(kind)))
-            found.append(f"typedef struct {{ {inside} }} {name};")
-        return found
+            inside = " ".join(f"{self.declared(member, f'f{i}')};" for i, member in enumerate(items(kind)))
+            definitions.append(f"typedef struct {{ {inside} }} {name};")
+        return definitions
 
     def declared(self, kind: str, name: str, written: bool = True) -> str:
         """A variable, an argument or a function of one ``kind``."""
         if items(kind):
             self.structures.setdefault(kind, f"several_{len(self.structures) + 1}")
-        told = self.structures.get(kind) or KINDS[kind]
-        return f"{told}{'' if told.endswith('*') else ' '}{name}"
+        type_name = self.structures.get(kind) or KINDS[kind]
+        return f"{type_name}{'' if type_name.endswith('*') else ' '}{name}"
 
-    def literal(self, one: Number) -> str:
+    def literal(self, number: Number) -> str:
         """A constant, which may be infinite."""
-        if math.isinf(one.value):
-            return "HUGE_VAL" if one.value > 0 else "-HUGE_VAL"
-        return str(one.value) if one.type == TRUTH else super().literal(one)
+        if math.isinf(number.value):
+            return "HUGE_VAL" if number.value > 0 else "-HUGE_VAL"
+        return str(number.value) if number.type == TRUTH else super().literal(number)
 
-    def expression(self, one: Expression, outside: int = 0, right: bool = False) -> str:
-        """``one`` as text."""
-        if isinstance(one, Several):
-            return f"({self.declared(one.type, '').strip()}){{{', '.join(map(self.expression, one.items))}}}"
-        if isinstance(one, Item):
-            return f"{self.expression(one.of)}.f{one.place}"
-        if isinstance(one, Cell):
-            array = self.names[one.array] if isinstance(one.array, str) else self.expression(one.array)
-            place = self.index(one.index)
-            return f"{array}[({place}) % {RING}]" if one.array in self.ring else f"{array}[{place}]"
-        if isinstance(one, Binary) and one.operator in ("==", "!=") and one.left.type == TRUTH:
-            return f"(({self.expression(one.left)}) {one.operator} ({self.expression(one.right)}))"
-        return super().expression(one, outside, right)
+    def expression(self, node: Expression, outside: int = 0, right: bool = False) -> str:
+        """``node`` as text."""
+        if isinstance(node, Several):
+            return f"({self.declared(node.type, '').strip()}){{{', '.join(map(self.expression, node.items))}}}"
+        if isinstance(node, Item):
+            return f"{self.expression(node.of)}.f{node.place}"
+        if isinstance(node, Cell):
+            array = self.names[node.array] if isinstance(node.array, str) else self.expression(node.array)
+            place = self.index(node.index)
+            return f"{array}[({place}) % {RING}]" if node.array in self.ring else f"{array}[{place}]"
+        if isinstance(node, Binary) and node.operator in ("==", "!=") and node.left.type == TRUTH:
+            return f"(({self.expression(node.left)}) {node.operator} ({self.expression(node.right)}))"
+        return super().expression(node, outside, right)
 
     def statement(self, step: Statement) -> list[str]:
         """One statement."""
@@ -413,8 +414,8 @@ class Machine:
     """An axis as C.
 
     ``structures``, ``functions`` and the ``opened`` run; for each form of a hook the names of its ``kernels`` by
-    number; ``initial`` the function, its type, first state, first parameter and number of states of each effect that
-    has some; ``numbers`` the arrays that it begins with; ``ring`` the samples that are kept.
+    number; ``initial`` function, its type, first state, first parameter and number of states of each effect with
+    states; ``numbers`` the initial arrays; ``ring`` the number of samples that are kept.
     """
 
     structures: list[str]
@@ -436,7 +437,7 @@ def machine_of(axis: Axis, name: str) -> Machine:
     """
     plant = Plant.of(axis)
     ready = plant.prepared(*plant.numbers(), 0.0, 0.0, 1, axis.sampling.period, axis.sampling.encoder_resolution)
-    ring = _longest_wait(axis, plant) + 3
+    ring = _longest_delay(axis, plant) + 3
     stepper = _stepper(ready.y.size, ring)
     printer = StepperPrinter(stepper.functions, name, SAMPLED)
     stepping, opened = (
@@ -445,12 +446,12 @@ def machine_of(axis: Axis, name: str) -> Machine:
     )
     functions, kernels, places, initial, calls = _kernels(plant, name, printer.structures)
     calls |= stepper.calls
-    helpers = [HELPERS[one] for one in HELPERS if one in calls] + [HELPER]
+    helpers = [HELPERS[helper] for helper in HELPERS if helper in calls] + [HELPER]
     hooks = ready.hooks.tolist()
-    hooks[: 3 * int(ready.starts[-1]) : 3] = [places[one] for one in hooks[: 3 * int(ready.starts[-1]) : 3]]
+    hooks[: 3 * int(ready.starts[-1]) : 3] = [places[kernel] for kernel in hooks[: 3 * int(ready.starts[-1]) : 3]]
     numbers = {"baseline": ready.baseline, "parameters": ready.parameters, "settings": ready.settings, "y": ready.y,
                "floors": ready.floors, "hooks": hooks, "starts": ready.starts}  # fmt: skip
-    texts = {key: [repr(one) for one in np.asarray(values).tolist()] or ["0"] for key, values in numbers.items()}
+    texts = {key: [repr(number) for number in np.asarray(values).tolist()] or ["0"] for key, values in numbers.items()}
     return Machine(
         printer.definitions(), [*helpers, *functions], stepping, opened, kernels, initial,
         {**texts, "scratch": [str(ready.scratch.size)]}, ring,
@@ -458,14 +459,14 @@ def machine_of(axis: Axis, name: str) -> Machine:
 
 
 def _stepper(states: int, ring: int) -> Program:
-    """The stepper of an axis with so many ``states``: driven by a command and a force, no law, nothing that varies."""
+    """The stepper of an axis with that many ``states``: driven by command and force, no law."""
     sizes = {"y.size": states, "reference.size": ring, "push.size": ring, "noise.size": 0, "slots.size": 0}
     fixed = {"law": 0, **sizes, "motor_rows.shape[0]": 0, "gains.shape[0]": 1}
     return read_stepper(hold_loop.run, STEPPER_TYPES, fixed)
 
 
-def _longest_wait(axis: Axis, plant: Plant) -> int:
-    """Samples that a command is on its way at most."""
+def _longest_delay(axis: Axis, plant: Plant) -> int:
+    """Largest delay of the command, in samples."""
     wait = axis.sampling.computation_delay * axis.sampling.period
     for effect, p in zip(plant.effects, plant.parameters, strict=True):
         if effect.delay is not None:
@@ -481,16 +482,16 @@ def _kernels(plant: Plant, name: str, structures: dict[str, str]) -> Any:
     functions, forms, places = dict[str, None](), {form: list[tuple[int, str]]() for form in FORMS}, dict[int, int]()
     initial, calls = list[tuple[str, str, int, int, int]](), set[str]()
     for i, effect in enumerate(plant.effects):
-        found: dict[str, Function] = {}
+        effect_functions: dict[str, Function] = {}
         hooks = [(getattr(effect, hook), hook if hook in FORMS else "kernel") for hook in HOOKS]
         hooks = [(kernel, form) for kernel, form in hooks if kernel is not None]
         for kernel, form in hooks:
-            read_into(StepperReader, kernel, FORMS[form], found, calls, ())
+            read_into(StepperReader, kernel, FORMS[form], effect_functions, calls, ())
         if effect.initial is not None:
-            read_into(StepperReader, effect.initial, INITIAL, found, calls, ())
-        printer = StepperPrinter(found.values(), f"{name}_{effect.name}")
+            read_into(StepperReader, effect.initial, INITIAL, effect_functions, calls, ())
+        printer = StepperPrinter(effect_functions.values(), f"{name}_{effect.name}")
         printer.structures = structures
-        functions |= dict.fromkeys(map(printer.function, found.values()))
+        functions |= dict.fromkeys(map(printer.function, effect_functions.values()))
         for kernel, form in hooks:
             place = address(kernel, form)
             if place not in places:
@@ -498,7 +499,7 @@ def _kernels(plant: Plant, name: str, structures: dict[str, str]) -> Any:
                 forms[form].append((places[place], printer.functions[kernel.__name__]))
         if effect.initial is not None and i not in plant.lagging:
             start = effect.initial.__name__
-            kind = found[start].result
+            kind = effect_functions[start].result
             places_ = plant.states_at[i], plant.parameters_at[i]
             initial.append((printer.functions[start], printer.declared(kind, "").strip(), *places_, len(items(kind))))
     return list(functions), forms, places, initial, calls

@@ -1,14 +1,13 @@
-"""Operations of one step, counted in the translated code: the most that any way through it takes."""
+"""Operations of one step, counted in the translated code: the most that any path through it takes."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
-from operator import eq, ge, gt, le, lt, ne
 from typing import Any
 
-from emps_design.codegen.block import Ahead, Block
+from emps_design.codegen.block import COMPARISONS, Ahead, Block
 from emps_design.codegen.program import (
     REAL,
     Apply,
@@ -26,7 +25,6 @@ from emps_design.codegen.program import (
     parts,
 )
 
-COMPARISONS = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq, "!=": ne}
 KINDS = {"+": "add", "-": "add", "*": "multiply", "/": "divide"}
 ORDER = ("multiply", "add", "divide", "compare", "call")
 Known = Mapping[str, Any]  # arrays by name, whole numbers by name
@@ -54,7 +52,7 @@ def counted(program: Program, arrays: Mapping[int, Sequence[float]]) -> Counter[
 
 
 def _ahead(ahead: Ahead) -> Counter[str]:
-    """Operations of a feed-forward, every repetition of one that depends on itself."""
+    """Operations of a feed-forward, in all its passes."""
     once = sum((counted(part.program, {}) + Counter(add=1) for part in ahead.parts), Counter[str]())
     once += Counter(multiply=3, add=6, compare=1)
     once += Counter(add=1, compare=1, call=1) if ahead.repeats else Counter()
@@ -93,63 +91,58 @@ class _Count:
         return self.expression(step.value, known)
 
     def ways(self, step: If, known: dict[str, Any]) -> Counter[str]:
-        """The way with most operations of those that what is ``known`` leaves open, and the tests up to it."""
+        """Operations of the longest branch that the ``known`` numbers leave possible, with the tests before it."""
         blocks, tests = parts(step)
-        total, each = Counter[str](), []
+        total, possible = Counter[str](), []
         for block, test in zip_longest(blocks, tests):
             holds = None if test is None else _holds(test, known)
             total += Counter() if test is None else self.expression(test, known)
             if block is not None and holds is not False:
-                each.append(self.block(block, dict(known)))
+                possible.append(self.block(block, dict(known)))
             if holds:
                 break
-        return total + _most(each)
+        return total + max(possible, key=lambda branch: sum(branch.values()), default=Counter())
 
-    def expression(self, one: Any, known: Known) -> Counter[str]:
-        if isinstance(one, Unary):
-            return self.expression(one.operand, known)
-        if isinstance(one, Binary):
-            own = KINDS.get(one.operator, "" if one.operator in ("and", "or") else "compare")
-            whole = one.type != REAL and own != "compare"
-            inside = self.expression(one.left, known) + self.expression(one.right, known)
+    def expression(self, node: Any, known: Known) -> Counter[str]:
+        if isinstance(node, Unary):
+            return self.expression(node.operand, known)
+        if isinstance(node, Binary):
+            own = KINDS.get(node.operator, "" if node.operator in ("and", "or") else "compare")
+            whole = node.type != REAL and own != "compare"
+            inside = self.expression(node.left, known) + self.expression(node.right, known)
             return inside + (Counter() if whole or not own else Counter({own: 1}))
-        if isinstance(one, Call | Apply):
-            inside = sum((self.expression(argument, known) for argument in one.arguments), Counter[str]())
-            if isinstance(one, Call):
-                own = "compare" if one.function.startswith(("min", "max")) or one.function == "choose" else "call"
-                return inside + (Counter() if one.function in ("real", "int", "modulo") else Counter({own: 1}))
-            function = self.functions[one.function]
-            handed = {
+        if isinstance(node, Call | Apply):
+            inside = sum((self.expression(argument, known) for argument in node.arguments), Counter[str]())
+            if isinstance(node, Call):
+                own = "compare" if node.function.startswith(("min", "max")) or node.function == "choose" else "call"
+                return inside + (Counter() if node.function in ("real", "int", "modulo") else Counter({own: 1}))
+            function = self.functions[node.function]
+            passed = {
                 name: known[argument.name]
-                for name, argument in zip(function.parameters, one.arguments, strict=True)
+                for name, argument in zip(function.parameters, node.arguments, strict=True)
                 if isinstance(argument, Name) and argument.name in known
             }
-            return inside + self.function(function, handed)
+            return inside + self.function(function, passed)
         return Counter()
 
 
-def _most(each: Sequence[Counter[str]]) -> Counter[str]:
-    """The way with most operations."""
-    return max(each, key=lambda one: sum(one.values()), default=Counter())
-
-
 def _holds(test: Any, known: Known) -> bool | None:
-    """Whether ``test`` compares two known numbers, and holds; None where it does not."""
+    """Whether ``test``, a comparison of two known numbers, holds; None where they are not known."""
     if not (isinstance(test, Binary) and test.operator in COMPARISONS):
         return None
     left, right = _value(test.left, known), _value(test.right, known)
     return None if left is None or right is None else bool(COMPARISONS[test.operator](left, right))
 
 
-def _value(one: Any, known: Known) -> Any:
-    """The number that ``one`` is whatever goes in; None where it is not known."""
-    if isinstance(one, Number):
-        return one.value
-    if isinstance(one, Name):
-        return known.get(one.name) if not isinstance(known.get(one.name), list) else None
-    if isinstance(one, Cell) and isinstance(one.index, Number) and one.array in known:
-        return known[str(one.array)][int(one.index.value)]
-    if isinstance(one, Call) and one.function in ("int", "real"):
-        inside = _value(one.arguments[0], known)
-        return None if inside is None else int(inside) if one.function == "int" else float(inside)
+def _value(node: Any, known: Known) -> Any:
+    """The number of ``node`` for any input; None where it depends on the input."""
+    if isinstance(node, Number):
+        return node.value
+    if isinstance(node, Name):
+        return known.get(node.name) if not isinstance(known.get(node.name), list) else None
+    if isinstance(node, Cell) and isinstance(node.index, Number) and node.array in known:
+        return known[str(node.array)][int(node.index.value)]
+    if isinstance(node, Call) and node.function in ("int", "real"):
+        inside = _value(node.arguments[0], known)
+        return None if inside is None else int(inside) if node.function == "int" else float(inside)
     return None

@@ -1,9 +1,8 @@
 """A kernel as a small typed program: what every target language has, and nothing else.
 
-Numbers are ``REAL`` or whole (``INT``); arrays of real numbers (``ARRAY``) belong to whoever calls. A whole number that
-meets a real one has been converted where it does, so that a language without such a rule means the same.
-
-What the printers of all languages share: precedence, and names that the language can hold.
+Numbers are ``REAL`` or whole (``INT``); arrays of real numbers (``ARRAY``) belong to the caller. Where a whole number
+meets a real one, the program converts it, for languages that have no such rule. :class:`Printer` has what the printers
+of all languages share: precedence, and names that the language allows.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
+from itertools import chain
 from typing import Any
 
 REAL, INT, ARRAY = "real", "int", "array"
@@ -94,7 +94,7 @@ class Several:
 
 @dataclass(frozen=True)
 class Item:
-    """One of several."""
+    """The item at ``place`` of several."""
 
     of: Expression
     place: int
@@ -184,25 +184,25 @@ class Program:
 
     @property
     def kernel(self) -> Function:
-        """The function that was translated, behind its helpers."""
+        """The translated function; its helpers stand before it."""
         return self.functions[-1]
 
 
-def rewritten(one: Any, change: Callable[[Any], Any]) -> Any:
-    """``one``, an expression, a statement or several, with every part of it replaced by its ``change``, inside first.
+def rewritten(node: Any, change: Callable[[Any], Any]) -> Any:
+    """``node``, an expression, a statement or several, with ``change`` applied to every part of it, inner parts first.
 
-    A statement may become several.
+    ``change`` may return several statements for one.
 
     >>> rewritten((Name("x", REAL),), lambda part: Number(2.0, REAL) if part == Name("x", REAL) else part)
     (Number(value=2.0, type='real'),)
     """
-    if isinstance(one, tuple):
-        changed = (rewritten(each, change) for each in one)
-        return tuple(part for each in changed for part in (each if isinstance(each, tuple) else (each,)))
-    if not is_dataclass(one) or isinstance(one, type):
-        return one
-    inside = {part.name: rewritten(getattr(one, part.name), change) for part in fields(one)}
-    return change(replace(one, **inside))
+    if isinstance(node, tuple):
+        changed = (rewritten(part, change) for part in node)
+        return tuple(chain.from_iterable(part if isinstance(part, tuple) else (part,) for part in changed))
+    if not is_dataclass(node) or isinstance(node, type):
+        return node
+    inside = {part.name: rewritten(getattr(node, part.name), change) for part in fields(node)}
+    return change(replace(node, **inside))
 
 
 def safe_names(names: Iterable[str], reserved: frozenset[str]) -> dict[str, str]:
@@ -213,7 +213,7 @@ def safe_names(names: Iterable[str], reserved: frozenset[str]) -> dict[str, str]
     >>> safe_names(["at", "T", "t", "_x__y", "λ"], frozenset({"at"}))
     {'at': 'at_2', 'T': 'T', 't': 't_2', '_x__y': 'x_y', 'λ': 'u3bb'}
     """
-    found: dict[str, str] = {}
+    safe: dict[str, str] = {}
     taken = set(reserved)
     for name in names:
         plain = "".join(c if c.isascii() else f"u{ord(c):x}" for c in name)
@@ -224,12 +224,12 @@ def safe_names(names: Iterable[str], reserved: frozenset[str]) -> dict[str, str]
             number += 1
             chosen = f"{plain}_{number}"
         taken.add(chosen.lower())
-        found[name] = chosen
-    return found
+        safe[name] = chosen
+    return safe
 
 
 class Printer:
-    """Prints functions of a program; a language says how its parts look."""
+    """Prints functions of a program; a subclass for each language prints the parts."""
 
     reserved: frozenset[str] = frozenset()
     operators: dict[str, str] = {}  # noqa: RUF012
@@ -241,7 +241,7 @@ class Printer:
         self.names: dict[str, str] = {}
 
     def lines(self, function: Function, known: Mapping[str, str]) -> list[str]:
-        """The body of ``function``, one line each; ``known`` names have theirs already."""
+        """The body of ``function``, one line each; ``known`` has the printed names that are fixed."""
         taken = {name.lower() for name in (*self.functions.values(), *known.values())}
         own = (*function.parameters, *function.variables, *_counters(function.body))
         self.names = {**known, **safe_names((name for name in own if name not in known), self.reserved | taken)}
@@ -263,41 +263,41 @@ class Printer:
         assert isinstance(step, If)
         return self.branch(step)
 
-    def expression(self, one: Expression, outside: int = 0, right: bool = False) -> str:
-        """``one`` as text, in parentheses where what stands ``outside`` binds more tightly."""
-        if isinstance(one, Number):
-            text = self.literal(one)
+    def expression(self, node: Expression, outside: int = 0, right: bool = False) -> str:
+        """``node`` as text, in parentheses where the operator ``outside`` binds more tightly."""
+        if isinstance(node, Number):
+            text = self.literal(node)
             return f"({text})" if text.startswith("-") and outside else text
-        if isinstance(one, Name):
-            return self.names[one.name]
-        if isinstance(one, Cell):
-            return f"{self.names[str(one.array)]}[{self.index(one.index)}]"
-        if isinstance(one, Call):
-            return self.call(one, [self.expression(argument) for argument in one.arguments])
-        if isinstance(one, Apply):
-            arguments = ", ".join(self.expression(argument) for argument in one.arguments)
-            return f"{self.functions[one.function]}({arguments})"
-        if isinstance(one, Unary):
-            text = f"{self.operators[one.operator]}{self.expression(one.operand, SIGN)}"
-            return f"({text})" if outside > (2 if one.operator == "not" else 0) else text
-        assert isinstance(one, Binary)
-        own = PRECEDENCE[one.operator]
-        left = self.expression(one.left, own)
-        text = f"{left} {self.operators[one.operator]} {self.expression(one.right, own, right=True)}"
-        mixed = outside <= 2 and own <= 2 and own != outside and outside  # and inside or: said with parentheses
+        if isinstance(node, Name):
+            return self.names[node.name]
+        if isinstance(node, Cell):
+            return f"{self.names[str(node.array)]}[{self.index(node.index)}]"
+        if isinstance(node, Call):
+            return self.call(node, [self.expression(argument) for argument in node.arguments])
+        if isinstance(node, Apply):
+            arguments = ", ".join(self.expression(argument) for argument in node.arguments)
+            return f"{self.functions[node.function]}({arguments})"
+        if isinstance(node, Unary):
+            text = f"{self.operators[node.operator]}{self.expression(node.operand, SIGN)}"
+            return f"({text})" if outside > (2 if node.operator == "not" else 0) else text
+        assert isinstance(node, Binary)
+        own = PRECEDENCE[node.operator]
+        left = self.expression(node.left, own)
+        text = f"{left} {self.operators[node.operator]} {self.expression(node.right, own, right=True)}"
+        mixed = outside <= 2 and own <= 2 and own != outside and outside  # and inside or: parentheses for clarity
         return f"({text})" if own < outside or (own == outside and right) or mixed else text
 
-    # What a language says.
+    # To be printed by each language.
 
-    def literal(self, one: Number) -> str:
+    def literal(self, number: Number) -> str:
         """A constant."""
         raise NotImplementedError
 
-    def index(self, one: Expression) -> str:
+    def index(self, place: Expression) -> str:
         """A place in an array."""
-        return self.expression(one)
+        return self.expression(place)
 
-    def call(self, one: Call, arguments: list[str]) -> str:
+    def call(self, call: Call, arguments: list[str]) -> str:
         """A function of the language."""
         raise NotImplementedError
 
@@ -314,12 +314,12 @@ class Printer:
         raise NotImplementedError
 
     def branch(self, step: If) -> list[str]:
-        """A branch with its others."""
+        """A branch with its alternatives."""
         raise NotImplementedError
 
 
 def parts(step: Statement) -> tuple[list[tuple[Statement, ...]], list[Expression]]:
-    """Blocks of a branch or a loop, and what is computed before them: ``else`` with one ``if`` in it is ``else if``."""
+    """Blocks of a branch or a loop, and the expressions of its head; ``else`` with one ``if`` in it is ``else if``."""
     if isinstance(step, For):
         return [step.body], [step.start, step.stop]
     if isinstance(step, While):
@@ -332,16 +332,16 @@ def parts(step: Statement) -> tuple[list[tuple[Statement, ...]], list[Expression
 
 
 @cache
-def names_of(one: Any) -> frozenset[str]:
-    """Every variable, parameter and array that ``one``, a statement or an expression, names."""
-    if isinstance(one, str) or not (isinstance(one, tuple) or is_dataclass(one)):
+def names_of(node: Any) -> frozenset[str]:
+    """Every variable, parameter and array that ``node``, a statement or an expression, names."""
+    if isinstance(node, str) or not (isinstance(node, tuple) or is_dataclass(node)):
         return frozenset()
-    if isinstance(one, tuple):
-        return names_in(one)
-    own = {Name: "name", Cell: "array", For: "variable"}.get(type(one), "")
-    named = getattr(one, own) if own else ""
-    found = frozenset({named} if isinstance(named, str) and named else ())
-    return found.union(*(names_of(getattr(one, part.name)) for part in fields(one)))
+    if isinstance(node, tuple):
+        return names_in(node)
+    own = {Name: "name", Cell: "array", For: "variable"}.get(type(node), "")
+    named = getattr(node, own) if own else ""
+    names = frozenset({named} if isinstance(named, str) and named else ())
+    return names.union(*(names_of(getattr(node, part.name)) for part in fields(node)))
 
 
 def names_in(steps: Iterable[Any]) -> frozenset[str]:
@@ -351,9 +351,9 @@ def names_in(steps: Iterable[Any]) -> frozenset[str]:
 
 def _counters(steps: tuple[Statement, ...]) -> list[str]:
     """Variables of the loops, in order, each once."""
-    found: dict[str, None] = {}
+    counters: dict[str, None] = {}
     for step in steps:
         if isinstance(step, If | For | While):
             own = [step.variable] if isinstance(step, For) else []
-            found |= dict.fromkeys([*own, *(name for block in parts(step)[0] for name in _counters(block))])
-    return list(found)
+            counters |= dict.fromkeys([*own, *(name for block in parts(step)[0] for name in _counters(block))])
+    return list(counters)

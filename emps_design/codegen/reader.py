@@ -1,9 +1,7 @@
 """Read a kernel's own Python source into a :class:`~emps_design.codegen.program.Program`.
 
 A kernel is plain Python of numbers: arithmetic, comparisons, ``if``, ``for`` over ``range``, local variables, cells of
-its arrays, ``math``, ``abs``, ``min``, ``max``, functions of its own file. Anything else is refused in one line.
-
-Read expressions of a kernel's Python source: arithmetic, comparisons, cells, ``math`` and functions of the file.
+its arrays, ``math``, ``abs``, ``min``, ``max``, functions of its own file. Anything else raises an error of one line.
 """
 
 from __future__ import annotations
@@ -54,12 +52,12 @@ LARGEST_POWER = 8  # a whole power is written as products, as the compiler of th
 
 
 class ExpressionReader:
-    """Reads the expressions of one function, ``tree``; ``found`` and ``calls`` are filled on the way."""
+    """Reads the expressions of one function, ``tree``; ``functions`` and ``calls`` are filled while reading."""
 
     def __init__(
-        self, function: Any, tree: ast.FunctionDef, types: tuple[str, ...], found: Any, calls: Any, above: Any
+        self, function: Any, tree: ast.FunctionDef, types: tuple[str, ...], functions: Any, calls: Any, above: Any
     ):
-        self.function, self.tree, self.found, self.calls, self.above = function, tree, found, calls, above
+        self.function, self.tree, self.functions, self.calls, self.above = function, tree, functions, calls, above
         outside = inspect.getclosurevars(function).nonlocals
         self.outside = {**vars(builtins), **function.__globals__, **outside}
         arguments = tree.args
@@ -70,7 +68,7 @@ class ExpressionReader:
             self.refuse(tree, f"{len(names)} arguments", f"{len(types)}")
         self.parameters = dict(zip(names, types, strict=True))
         self.variables: dict[str, str] = {}
-        self.loops: list[str] = []  # variables of the loops around the place that is being read
+        self.loops: list[str] = []  # variables of the loops around the current node
         self.counters: set[str] = set()
 
     def refuse(self, node: ast.AST, what: str, expected: str = "arithmetic, if, for over range, math") -> Any:
@@ -80,7 +78,7 @@ class ExpressionReader:
         raise InputError(f"{place}: found {what}, which has no translation; expected {expected}")
 
     def read_function(self, function: Any, types: tuple[str, ...]) -> None:
-        """Add ``function``, which is called with arguments of these ``types``, to ``found``."""
+        """Add ``function``, which is called with arguments of these ``types``, to ``functions``."""
         raise NotImplementedError
 
     # Expressions.
@@ -171,40 +169,42 @@ class ExpressionReader:
             self.calls.add("int")
             return Call("int", (arguments[0],), INT)
         if function in (min, max) and len(arguments) >= 2:
-            kind = INT if all(one.type == INT for one in arguments) else REAL
+            kind = INT if all(argument.type == INT for argument in arguments) else REAL
             name = function.__name__ if kind == REAL else f"{function.__name__}_int"
             self.calls.add(name)
             result = arguments[0] if kind == INT else real(arguments[0])
-            for one in arguments[1:]:
-                result = Call(name, (result, one if kind == INT else real(one)), kind)
+            for argument in arguments[1:]:
+                result = Call(name, (result, argument if kind == INT else real(argument)), kind)
             return result
         if function is abs or function in MATH:
             name = "fabs" if function is abs else MATH[function]
             if function is abs and arguments[0].type == INT:
                 return self.refuse(node, "abs of a whole number", "of a real one")
             self.calls.add(name)
-            done = Call(name, tuple(map(real, arguments)), REAL)
+            call = Call(name, tuple(map(real, arguments)), REAL)
             if name != "floor":
-                return done
+                return call
             self.calls.add("int")
-            return Call("int", (done,), INT)
+            return Call("int", (call,), INT)
         if isinstance(function, FunctionType):
             return self.apply(node, function, arguments)
         return self.refuse(node, f"a call of {ast.unparse(node.func)}", "math, abs, min, max or a function of the file")
 
     def apply(self, node: ast.Call, function: FunctionType, arguments: list[Expression]) -> Expression:
         """A call of a function of the file, which is read first."""
-        types = tuple(ARRAY if one.type == ARRAY else REAL for one in arguments)
-        if function.__name__ not in self.found:
+        types = tuple(ARRAY if argument.type == ARRAY else REAL for argument in arguments)
+        if function.__name__ not in self.functions:
             self.read_function(function, types)
-        if tuple(self.found[function.__name__].parameters.values()) != types:
+        if tuple(self.functions[function.__name__].parameters.values()) != types:
             return self.refuse(node, f"{function.__name__} with other kinds of arguments", "the same in every call")
-        return Apply(function.__name__, tuple(one if one.type == ARRAY else real(one) for one in arguments))
+        return Apply(
+            function.__name__, tuple(argument if argument.type == ARRAY else real(argument) for argument in arguments)
+        )
 
     def whole(self, node: ast.expr) -> Expression:
         """``node`` as a whole number."""
-        found = self.number(node)
-        return found if found.type == INT else self.refuse(node, "a real number", "a whole one, or int() of it")
+        number = self.number(node)
+        return number if number.type == INT else self.refuse(node, "a real number", "a whole one, or int() of it")
 
     def condition(self, node: ast.expr) -> Expression:
         """``node`` as a condition."""
@@ -219,10 +219,10 @@ class ExpressionReader:
             sides = [self.number(side) for side in (node.left, *node.comparators)]
             both = zip(sides, node.ops, sides[1:], strict=False)
             tests: list[Expression] = [self.compared(left, OPERATORS[type(op)], right) for left, op, right in both]
-            found = tests[0]
+            condition = tests[0]
             for test in tests[1:]:
-                found = Binary("and", found, test, TRUTH)
-            return found
+                condition = Binary("and", condition, test, TRUTH)
+            return condition
         return self.refuse(node, "a condition that is not a comparison", "one such as x > 0.0")
 
     def compared(self, left: Expression, operator: str, right: Expression) -> Expression:
@@ -240,7 +240,7 @@ class ExpressionReader:
         return {node.id for node in names if isinstance(node.ctx, ast.Store)}
 
     def value_of(self, node: ast.expr) -> Any:
-        """What a name of the file, or of a module it imports, stands for."""
+        """The object of a name of the file or of a module that it imports."""
         if isinstance(node, ast.Name):
             if node.id not in self.outside:
                 return self.refuse(node, f"the unknown name {node.id}")
@@ -250,13 +250,13 @@ class ExpressionReader:
         return self.refuse(node, type(node).__name__.lower())
 
 
-def real(one: Expression) -> Expression:
-    """``one`` as a real number: constants change their kind, whole variables are converted."""
-    if one.type != INT:
-        return one
-    if isinstance(one, Number):
-        return Number(float(one.value), REAL)
-    return Call("real", (one,), REAL)
+def real(expression: Expression) -> Expression:
+    """``expression`` as a real number: constants change their kind, whole variables are converted."""
+    if expression.type != INT:
+        return expression
+    if isinstance(expression, Number):
+        return Number(float(expression.value), REAL)
+    return Call("real", (expression,), REAL)
 
 
 def product(base: Expression, exponent: int) -> Expression:
@@ -281,25 +281,25 @@ def read_program(kernel: Callable[..., Any], parameters: Iterable[str]) -> Progr
     >>> read_program(law, (INT, REAL, ARRAY)).kernel.parameters
     {'k': 'int', 'reference': 'real', 'gains': 'array'}
     """
-    found: dict[str, Function] = {}
+    functions: dict[str, Function] = {}
     calls: set[str] = set()
-    read_into(FunctionReader, kernel, tuple(parameters), found, calls, ())
-    return Program(tuple(found.values()), frozenset(calls))
+    read_into(FunctionReader, kernel, tuple(parameters), functions, calls, ())
+    return Program(tuple(functions.values()), frozenset(calls))
 
 
 def read_into(
     reader: type[FunctionReader],
     function: Callable[..., Any],
     types: tuple[str, ...],
-    found: dict[str, Function],
+    functions: dict[str, Function],
     calls: set[str],
     above: Any,
 ) -> None:
-    """Add ``function`` to ``found``, behind what it calls."""
+    """Add ``function`` to ``functions``, behind what it calls."""
     if function in above:
         name = getattr(function, "__name__", repr(function))
         raise InputError(f"{name}: found a function that calls itself, expected none: a drive has no room for it")
-    reader(function, source_tree(function), types, found, calls, (*above, function)).read()
+    reader(function, source_tree(function), types, functions, calls, (*above, function)).read()
 
 
 def source_tree(function: Callable[..., Any]) -> ast.FunctionDef:
@@ -321,11 +321,11 @@ class FunctionReader(ExpressionReader):
     result = REAL
 
     def read_function(self, function: Any, types: tuple[str, ...]) -> None:
-        """Add ``function`` to ``found``, with arguments of these ``types``."""
-        read_into(type(self), function, types, self.found, self.calls, self.above)
+        """Add ``function`` to ``functions``, with arguments of these ``types``."""
+        read_into(type(self), function, types, self.functions, self.calls, self.above)
 
     def read(self) -> None:
-        """Read the function into ``found``."""
+        """Read the function into ``functions``."""
         steps = [step for step in self.tree.body if not _is_text(step)]
         # A variable is real as soon as one value of it is; types settle because they only move from whole to real.
         before = None
@@ -335,13 +335,13 @@ class FunctionReader(ExpressionReader):
         self.variables = {name: kind for name, kind in sorted(self.variables.items()) if name not in self.parameters}
         if self.result and not _returns(body):
             self.refuse(self.tree, "a way through the function without a return", "a number on every way")
-        self.found[self.tree.name] = Function(self.tree.name, self.parameters, self.variables, body, self.result)
+        self.functions[self.tree.name] = Function(self.tree.name, self.parameters, self.variables, body, self.result)
 
     # Statements.
 
     def block(self, steps: list[ast.stmt]) -> tuple[Statement, ...]:
         """Statements in order."""
-        return tuple(one for step in steps for one in self.statement(step))
+        return tuple(statement for step in steps for statement in self.statement(step))
 
     def statement(self, node: ast.stmt) -> list[Statement]:
         """One statement, which may become several."""
@@ -355,7 +355,7 @@ class FunctionReader(ExpressionReader):
         if isinstance(node, ast.AnnAssign) and node.value is not None:
             return self.assignments([node.target], node.value)
         if isinstance(node, ast.AugAssign):
-            value = ast.copy_location(ast.BinOp(_loaded(node.target), node.op, node.value), node)
+            value = ast.copy_location(ast.BinOp(_as_value(node.target), node.op, node.value), node)
             return self.assignments([node.target], value)
         if isinstance(node, ast.If):
             return [If(self.condition(node.test), self.block(node.body), self.block(node.orelse))]
@@ -368,7 +368,7 @@ class FunctionReader(ExpressionReader):
         if any(isinstance(target, ast.Tuple) for target in targets):
             return self.refuse(value, "several variables in one assignment", "one at a time")
         first = self.assign(targets[0], self.number(value))
-        again = [self.assign(target, self.number(_loaded(targets[0]))) for target in targets[1:]]
+        again = [self.assign(target, self.number(_as_value(targets[0]))) for target in targets[1:]]
         return [first, *again]
 
     def assign(self, node: ast.expr, value: Expression) -> Statement:
@@ -397,7 +397,7 @@ class FunctionReader(ExpressionReader):
             return self.refuse(node, "a loop", "for over range")
         if node.orelse:
             return self.refuse(node, "else of a loop")
-        bounds = [self.whole(one) for one in call.args]
+        bounds = [self.whole(argument) for argument in call.args]
         step = bounds[2] if len(bounds) == 3 else Number(1, INT)
         if not isinstance(step, Number) or step.value == 0:
             return self.refuse(node, "a step that is not a constant", "a whole number other than 0")
@@ -418,7 +418,7 @@ class FunctionReader(ExpressionReader):
         return [*before, For(name, start, stop, int(step.value), body)]
 
 
-def _loaded(target: ast.expr) -> ast.expr:
+def _as_value(target: ast.expr) -> ast.expr:
     """The variable or cell ``target`` as a value."""
     return ast.parse(ast.unparse(target), mode="eval").body
 
@@ -428,7 +428,7 @@ def _is_text(node: ast.stmt) -> bool:
 
 
 def _returns(body: tuple[Statement, ...]) -> bool:
-    """Whether every way through ``body`` ends in a return."""
+    """Whether every path through ``body`` ends in a return."""
     last = body[-1] if body else None
     if isinstance(last, If):
         return _returns(last.then) and _returns(last.otherwise)

@@ -1,11 +1,10 @@
-"""Rounding of single precision: a kernel run on numbers that know what every rounding before has done to them.
+"""Rounding of single precision: a kernel run on numbers that carry a bound of their rounding error.
 
-A number has its ``value`` in double precision and, one for each rounding, the share of that rounding in its distance to
-what single precision makes of it; the sum of their sizes bounds the distance. Each operation adds half a unit in the
-last place of its own result (functions of ``math``: one whole); what is of second order joins that. A comparison that
-falls within the bounds may fall the other way in single precision: :func:`every_way` goes both.
-
-Kernels on rounded numbers: functions of ``math``, ``min`` and ``max`` that know what rounding does to them.
+A number has its ``value`` in double precision and, for each rounding so far, the share of that rounding in its distance
+from the number of single precision; the sum of their sizes bounds the distance. Each operation adds half a unit in the
+last place of its result (functions of ``math``: a whole one), terms of second order included. A comparison within the
+bounds may fall the other way in single precision: :func:`every_way` follows both. :func:`on_rounded` gives a kernel the
+functions of ``math``, ``min`` and ``max`` for such numbers.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ import numpy as np
 
 HALF_UNIT = 2.0**-24  # relative, of one operation in single precision
 TINY = 2.0**-149  # absolute, where a result underflows
-LARGEST = 2.0**127  # what single precision is sure to hold
+LARGEST = 2.0**127  # below the overflow of single precision
 MOST_WAYS = 64  # through one step
-NONE = np.zeros(0)  # shares of what is held as it is
+NONE = np.zeros(0)  # shares of an exact number
 
 
 @dataclass
 class Roundings:
-    """Roundings so far: their ``count``, whether nothing is bounded (``open``), and the ways taken at comparisons.
+    """Roundings so far: their ``count``, whether there is no bound (``open``), and the ways ``taken`` at comparisons.
 
-    ``taken`` has one entry for each comparison that single precision may decide otherwise: the way, and of how many.
+    ``taken`` has one entry for each comparison that single precision may decide otherwise: index and number of ways.
     """
 
     count: int = 0
@@ -40,14 +39,14 @@ class Roundings:
     place: int = 0
 
     def either(self, *ways: Any) -> Any:
-        """One of ``ways``, that of double precision first: the one whose turn it is."""
+        """The one of ``ways`` for this run; in the first run the one of double precision, which stands first."""
         if self.place == len(self.taken):
             self.taken.append((0, len(ways)))
         self.place += 1
         return ways[self.taken[self.place - 1][0]]
 
-    def turn(self) -> bool:
-        """Go another way next time; False where all have been gone."""
+    def advance(self) -> bool:
+        """Prepare the next run with another combination of ways; False where there is none left."""
         self.place = 0
         while self.taken:
             way, ways = self.taken.pop()
@@ -57,7 +56,7 @@ class Roundings:
         return False
 
     def exact(self, value: float) -> Rounded:
-        """A number that single precision holds as it is."""
+        """A number that is exact in single precision."""
         return Rounded(value, NONE, self, 0.0)
 
     def constant(self, value: float) -> Rounded:
@@ -66,10 +65,10 @@ class Roundings:
         >>> Roundings().constant(0.1).bound == abs(float(np.float32(0.1)) - 0.1)
         True
         """
-        return self.within(value, _lost(value))
+        return self.within(value, _rounding_error(value))
 
     def within(self, value: float, own: float) -> Rounded:
-        """A number of which single precision holds something at most ``own`` away, for a reason of its own."""
+        """A number whose value in single precision is at most ``own`` away, by an independent rounding."""
         return self.rounded(value, NONE, 0.0, own)
 
     def rounded(self, value: float, shares: np.ndarray, bound: float, own: float) -> Rounded:
@@ -84,8 +83,8 @@ class Roundings:
 
 
 @lru_cache(maxsize=10_000)
-def _lost(value: float) -> float:
-    """What is cut off a constant of the program."""
+def _rounding_error(value: float) -> float:
+    """Rounding error of a constant of the program."""
     with np.errstate(over="ignore"):
         return abs(float(np.float32(value)) - value)
 
@@ -105,10 +104,10 @@ class Rounded:
         self.positive = value >= bound  # or 0, in single precision too
 
     def other(self, number: Any) -> Rounded:
-        """``number`` as one like this."""
+        """``number`` as a rounded number of the same run."""
         return number if isinstance(number, Rounded) else self.roundings.constant(float(number))
 
-    def _made(self, value: float, shares: np.ndarray, more: float = 0.0, units: float = 1.0) -> Rounded:
+    def _result(self, value: float, shares: np.ndarray, more: float = 0.0, units: float = 1.0) -> Rounded:
         before = _size(shares)
         bound = before + more
         if not abs(value) + bound < LARGEST:
@@ -122,7 +121,7 @@ class Rounded:
         shares = _sum(self.shares, other.shares)
         if 0.0 in (self.value, other.value) and 0.0 in (self.bound, other.bound):
             return Rounded(self.value + other.value, shares, self.roundings, _size(shares))  # nothing is rounded
-        return self._made(self.value + other.value, shares)
+        return self._result(self.value + other.value, shares)
 
     def __sub__(self, other: Any) -> Rounded:
         return self + (-self.other(other))
@@ -133,7 +132,7 @@ class Rounded:
     def __mul__(self, other: Any) -> Rounded:
         other = self.other(other)
         shares = _sum(other.value * self.shares, self.value * other.shares)
-        made = self._made(self.value * other.value, shares, self.bound * other.bound)
+        made = self._result(self.value * other.value, shares, self.bound * other.bound)
         made.positive |= self.positive and other.positive
         return made
 
@@ -145,7 +144,7 @@ class Rounded:
             return self.roundings.exact(self.value / other.value if other.value else math.nan)
         value = self.value / other.value
         shares = _sum(self.shares / other.value, -value / other.value * other.shares)
-        made = self._made(value, shares, _size(shares) * other.bound / least)
+        made = self._result(value, shares, _size(shares) * other.bound / least)
         made.positive |= self.positive and other.positive
         return made
 
@@ -174,7 +173,7 @@ class Rounded:
         raise TypeError("a bound would be lost")
 
     def __int__(self) -> int:
-        low, value, high = (int(one) for one in (self.value - self.bound, self.value, self.value + self.bound))
+        low, value, high = (int(edge) for edge in (self.value - self.bound, self.value, self.value + self.bound))
         if high - low > 1:
             self.roundings.open = True
         return value if low == high else self.roundings.either(value, low + high - value)
@@ -183,8 +182,8 @@ class Rounded:
         """Whether the difference ``holds`` against 0: either way where the roundings may turn its sign."""
         other = self.other(other)
         difference, bound = self.value - other.value, _size(_sum(self.shares, -other.shares))
-        found = holds(difference, 0.0)
-        return self.roundings.either(found, not found) if bound > 0.0 and abs(difference) <= bound else found
+        nominal = holds(difference, 0.0)
+        return self.roundings.either(nominal, not nominal) if bound > 0.0 and abs(difference) <= bound else nominal
 
     def __lt__(self, other: Any) -> bool:
         return self.compared(other, operator.lt)
@@ -214,13 +213,13 @@ def _size(shares: np.ndarray) -> float:
 
 def _sum(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     longer, shorter = (first, second) if first.size >= second.size else (second, first)
-    found = longer.copy()
-    found[: shorter.size] += shorter
-    return found
+    total = longer.copy()
+    total[: shorter.size] += shorter
+    return total
 
 
 def power(base: Rounded, exponent: Rounded) -> Rounded:
-    """``base ** exponent`` by its values at the edges; open where the base may be negative."""
+    """``base ** exponent``, bounded by its values at the ends of the intervals; open where the base may be negative."""
     low, high = base.value - base.bound, base.value + base.bound
     if base.value == 0.0 and base.bound == 0.0:
         return base.roundings.exact(base.value**exponent.value)
@@ -229,43 +228,45 @@ def power(base: Rounded, exponent: Rounded) -> Rounded:
         return base.roundings.exact(max(base.value, 0.0) ** exponent.value if exponent.value > 0.0 else math.nan)
     value = base.value**exponent.value
     ends = [max(x, 0.0) ** (exponent.value + d) for x in (low, high) for d in (-exponent.bound, exponent.bound)]
-    return base._made(value, NONE, max(abs(end - value) for end in ends), units=2.0)
+    return base._result(value, NONE, max(abs(end - value) for end in ends), units=2.0)
 
 
 def every_way(run: Callable[[], Sequence[Any]], now: Roundings) -> tuple[list[Rounded], bool]:
-    """What ``run`` returns the way that double precision goes, and whether single precision may go another.
+    """Numbers that ``run`` returns on the way of double precision, and whether single precision may take another.
 
-    A share of its own holds for each number what every other way makes of it. The ways have the roundings before in
-    common; those of one way are none on the others.
+    A share of its own bounds the distance of each number to those of all other ways. The ways share the roundings
+    before; those within a way belong to it alone.
     """
     before, more, now.taken, now.place = now.count, dict[int, float](), [], 0
-    first = [one if isinstance(one, Rounded) else now.constant(float(one)) for one in run()]
+    first = [number if isinstance(number, Rounded) else now.constant(float(number)) for number in run()]
     after, several = now.count, bool(now.taken)
     for _ in range(MOST_WAYS):
-        if now.open or not now.turn():
+        if now.open or not now.advance():
             break
         now.count = before
         try:
-            others = [first[0].other(one) for one in run()]
+            others = [first[0].other(number) for number in run()]
         except IndexError:
-            continue  # not a way: no kernel reads beyond its arrays
+            continue  # an impossible way: no kernel reads beyond its arrays
         except (ArithmeticError, ValueError):
-            now.open = True  # no number, where double precision does not go
+            now.open = True  # undefined on a way that double precision does not take
             break
-        for i, (one, other) in enumerate(zip(first, others, strict=True)):
-            apart = _sum(other.shares[:before], -one.shares[:before])
-            own = abs(other.value - one.value) + _size(apart) + _size(other.shares[before:])
+        for i, (number, other) in enumerate(zip(first, others, strict=True)):
+            apart = _sum(other.shares[:before], -number.shares[:before])
+            own = abs(other.value - number.value) + _size(apart) + _size(other.shares[before:])
             more[i] = max(more.get(i, 0.0), own)
     else:
         now.open = True
     now.count = after
-    return [now.rounded(one.value, one.shares, one.bound, more.get(i, 0.0)) for i, one in enumerate(first)], several
+    return [
+        now.rounded(number.value, number.shares, number.bound, more.get(i, 0.0)) for i, number in enumerate(first)
+    ], several
 
 
 def _by_slope(
     function: Callable[[float], float], slope: Callable[[float, float], float], range_: float = math.inf
 ) -> Callable[[Any], Any]:
-    """``function`` of a rounded number, ``slope`` the largest over an interval, ``range_`` from least to largest."""
+    """``function`` of a rounded number, ``slope`` its largest slope over an interval, ``range_`` its total range."""
 
     def applied(x: Any) -> Any:
         if not isinstance(x, Rounded):
@@ -273,7 +274,7 @@ def _by_slope(
         more = min(x.bound * slope(x.value - x.bound, x.value + x.bound), range_) if x.bound else 0.0
         if not more < math.inf:
             x.roundings.open, more = True, 0.0
-        return x._made(function(x.value), np.zeros(0), more, units=2.0)
+        return x._result(function(x.value), np.zeros(0), more, units=2.0)
 
     return applied
 
@@ -291,7 +292,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 
 
 def smallest(*numbers: Any) -> Any:
-    """``min`` of rounded numbers, right whichever of them single precision takes."""
+    """``min`` of rounded numbers, with a bound for whichever of them single precision takes."""
     return _extreme(min, numbers)
 
 
@@ -301,10 +302,10 @@ def largest(*numbers: Any) -> Any:
 
 
 def _extreme(choose: Callable[..., Any], numbers: tuple[Any, ...]) -> Any:
-    kept = next((one for one in numbers if isinstance(one, Rounded)), None)
+    kept = next((number for number in numbers if isinstance(number, Rounded)), None)
     if kept is None:
         return choose(numbers)
-    sides = [kept.other(one) for one in numbers]
+    sides = [kept.other(number) for number in numbers]
     taken = choose(sides, key=lambda side: side.value)
     if all(abs(side.value - taken.value) > side.bound + taken.bound for side in sides if side is not taken):
         return taken
@@ -313,15 +314,15 @@ def _extreme(choose: Callable[..., Any], numbers: tuple[Any, ...]) -> Any:
 
 
 def on_rounded(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``function`` with the functions it uses, its file's own and those of ``math``, able to take rounded numbers."""
+    """``function`` for rounded numbers, with the functions of its file and of ``math`` that it calls."""
     assert isinstance(function, FunctionType)
     space = {**function.__globals__, "min": smallest, "max": largest}
     for name in function.__code__.co_names:
-        found = function.__globals__.get(name)
-        if isinstance(found, ModuleType) and found is math:
+        referent = function.__globals__.get(name)
+        if isinstance(referent, ModuleType) and referent is math:
             space[name] = SimpleNamespace(**{**vars(math), **FUNCTIONS})
-        elif isinstance(found, FunctionType):
-            space[name] = on_rounded(found)
-        elif getattr(found, "__module__", "") == "math":
-            space[name] = FUNCTIONS[getattr(found, "__name__", "")]
+        elif isinstance(referent, FunctionType):
+            space[name] = on_rounded(referent)
+        elif getattr(referent, "__module__", "") == "math":
+            space[name] = FUNCTIONS[getattr(referent, "__name__", "")]
     return FunctionType(function.__code__, space, function.__name__, function.__defaults__, function.__closure__)

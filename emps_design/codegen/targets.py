@@ -1,8 +1,7 @@
-"""The languages that a controller is written in: the files of each, by name.
+"""The files of a controller in each language, by name, from templates.
 
-Where exported code comes from: the axis file with what its head says, and the commit of this package.
-
-What the templates of exported code say: the law, the axis, units, and the page that goes with the code.
+The page and the heads of the files name the law, the axis, units, the axis file with the comment in its first line, and
+the commit of this package.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from emps_design.errors import one_line
 from emps_design.laws import leaves, unit_of
 from emps_design.laws.drives import drive_settings, gains_of
 
-LONGEST, DIGITS = 10, 12  # s of asking for the commit, and of what is said of it
+LONGEST, DIGITS = 10, 12  # s, timeout of git; digits of the commit
 
 INPUTS = {"position": "m", "velocity": "m/s", "rest position": "m", COMMAND: "V"}  # unit of what a law follows
 OPERATIONS = {"multiply": "products", "add": "sums and differences", "divide": "quotients", "compare": "comparisons",
@@ -44,8 +43,8 @@ OPERATIONS = {"multiply": "products", "add": "sums and differences", "divide": "
 Files = Mapping[str, str | bytes]  # by name
 EXERCISED = "in motion within the limit, in and out of the limit"
 LONGEST_NAME = 40
-# Lines behind the equations of a law that stands beside a feed-forward.
-BESIDE = (
+# Lines after the equations of a law with feed-forward.
+FEEDFORWARD_LINES = (
     "(q_ref[k], v_ref[k]: 0; q[k]: position less reference; u[k]: before feed-forward and limit)",
     "command[k] = u[k] + feedforward(ahead_q[k], ahead_v[k], ahead_a[k]), within the limit",
 )
@@ -56,16 +55,16 @@ Printed = Callable[[Program, str], tuple[list[str], str]]  # definitions, and wh
 
 
 def origin_of(name: str, content: bytes) -> str:
-    """What a page says of the axis file ``name``: its SHA-256, and the comment that it begins with.
+    """Origin of the axis file ``name`` for the page: its SHA-256, and the comment in its first line.
 
-    ``diagnose`` says there which record its numbers are of.
+    In a file of ``diagnose`` that comment names the record.
 
     >>> origin_of("model.toml", b"# of a record\\nname = 'x'")[-13:]
     ': of a record'
     """
     first = content.decode("utf-8", "replace").partition("\n")[0]
-    said = f": {first.lstrip('# ')}" if first.startswith("#") else ""
-    return one_line(f"{name}, SHA-256 {hashlib.sha256(content).hexdigest()}{said}")
+    note = f": {first.lstrip('# ')}" if first.startswith("#") else ""
+    return one_line(f"{name}, SHA-256 {hashlib.sha256(content).hexdigest()}{note}")
 
 
 @lru_cache
@@ -74,13 +73,13 @@ def commit() -> str:
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists() or shutil.which("git") is None:
         return ""
-    found, changed = (_answer(root, *asked) for asked in (("rev-parse", "HEAD"), ("status", "-s", "-uno")))
-    return found[:DIGITS] + (", changed since" if changed else "")
+    head, changed = (_git_output(root, *arguments) for arguments in (("rev-parse", "HEAD"), ("status", "-s", "-uno")))
+    return head[:DIGITS] + (", changed since" if changed else "")
 
 
-def _answer(root: Path, *asked: str) -> str:
-    """What git says; nothing where it fails."""
-    done = subprocess.run(["git", *asked], cwd=root, capture_output=True, text=True, timeout=LONGEST, check=False)
+def _git_output(root: Path, *arguments: str) -> str:
+    """Output of git, stripped; "" where it fails."""
+    done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, timeout=LONGEST, check=False)
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
@@ -109,13 +108,13 @@ def template(name: str) -> Any:
 
 
 def words_of(name: str, block: Block) -> dict[str, Any]:
-    """What every template may say."""
+    """Words and numbers for every template."""
     axis, law = block.axis, block.law
     own, fields = block.parameters, block.kind.table.model_fields
-    said = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
+    equations = block.kind.equations(block.kind.table(**own), axis, axis.sampling.period)
     if law.error_alone:
-        first, last = BESIDE
-        said = (*said, first, last + (WAITS if block.waits is not None else ""))
+        first, last = FEEDFORWARD_LINES
+        equations = (*equations, first, last + (WAITS if block.waits is not None else ""))
     unit = axis.units.unit
     parameters = [
         f"{'.'.join(path)} = {value} {unit(unit_of(field))}".rstrip()
@@ -133,14 +132,14 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "commit": commit(),
         "origin": comment(block.origin, 1000),
         "period": repr(axis.sampling.period),
-        "equations": [comment(line, 1000) for line in said],
+        "equations": [comment(line, 1000) for line in equations],
         "parameters": list(map(comment, parameters)),
         "memory": max(1, law.memory),
         "memories": law.memory,
         "inputs": 6 if block.ahead is not None else 3,
         "ahead": None,
         "waits": block.waits,
-        "feedforward": None if block.ahead is None else said_of(block.ahead),
+        "feedforward": None if block.ahead is None else feedforward_words(block.ahead),
         "velocity_unit": unit("m/s"),
         "acceleration_unit": unit("m/s^2"),
         "mass_unit": unit("kg"),
@@ -154,7 +153,7 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "answer": "external force" if block.observes else "command",
         "either_way": "" if block.observes else f", at most {block.limit!r} either way",
         "output_unit": unit("N" if block.observes else "V"),
-        "follows": _followed(block),
+        "follows": _reference_text(block),
         "reference_unit": unit(INPUTS[law.follows]),
         "position_unit": unit("m"),
         "force_unit": unit("N"),
@@ -162,8 +161,8 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
     }
 
 
-def _followed(block: Block) -> str:
-    """What the block is given to follow, in words."""
+def _reference_text(block: Block) -> str:
+    """The reference of the block, in words."""
     if block.observes:
         return "the command that acted in the period that ends now"
     return "the position of the reference" if block.law.error_alone else f"a {block.law.follows}"
@@ -178,7 +177,7 @@ def comment(text: object, longest: int = CHARACTERS) -> str:
 
 
 def gain_names(block: Block) -> list[str]:
-    """What the kernel's own file calls each of its gains: the constants it uses as their places."""
+    """Name of each gain: the constant that the kernel's file uses as its index, "" where it uses none."""
     kernel = block.law.kernel
     space, array, named = vars(inspect.getmodule(kernel)), list(block.program.kernel.parameters)[5], {}
     for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kernel)))):
@@ -190,7 +189,7 @@ def gain_names(block: Block) -> list[str]:
 
 
 def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: Any) -> Files:
-    """``made`` with the axis, the vectors, and a page that says what is there; ``more`` is for its template."""
+    """``made`` with the axis, the vectors and the page; ``more`` are words for its template."""
     made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
     words = {**words_of(name, block), **more, "rows": vectors.q.size, "bound": single_precision(vectors)}
     hashes = [(file, hash_of(text)) for file, text in made.items()]
@@ -201,26 +200,28 @@ def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: An
 
 
 def single_precision(vectors: Vectors) -> str:
-    """What a page says of the bound of single precision."""
+    """Sentences for the page on the bound of single precision."""
     bound, unit = vectors.bound, vectors.block.axis.units.unit("N" if vectors.block.observes else "V")
     held = bound[np.isfinite(bound)]
-    said = (
+    text = (
         f"Here the largest is {bound[REST : REST + MOTION].max():.3g} {unit} in the first motion and "
         f"{held.max(initial=0.0):.3g} {unit} in all."
     )
     if several := int(np.count_nonzero(vectors.undecided)):
-        said += (
+        text += (
             f" At {several} of the samples rounding decides a comparison (a sign, a limit, a switch), and single "
             "precision may go the other way. There, and as long as the memory holds what follows from it, the column "
             f"single bounds both ways, the jump between them included, at most {bound[vectors.undecided].max():.3g} "
             f"{unit}."
         )
-    left = bound.size - held.size
-    return said + (f" {left} samples have none: a number there may leave what single precision holds." if left else "")
+    unbounded = bound.size - held.size
+    return text + (
+        f" {unbounded} samples have none: a number there may leave what single precision holds." if unbounded else ""
+    )
 
 
-def said_of(ahead: Ahead) -> dict[str, Any]:
-    """What a page says of a feed-forward."""
+def feedforward_words(ahead: Ahead) -> dict[str, Any]:
+    """Words of a feed-forward for the page."""
     return {
         "terms": [term.replace("_", " ") for term in ahead.feedforward.terms],
         "wait": repr(ahead.feedforward.wait),
@@ -229,7 +230,7 @@ def said_of(ahead: Ahead) -> dict[str, Any]:
 
 
 def _sums(name: str, ahead: Ahead, printed: Printed) -> tuple[list[str], list[dict[str, Any]]]:
-    """Definitions of the kernels that are fed forward, and for each hook what is called."""
+    """Definitions of the kernels of the feed-forward, and for each hook the names of those to call."""
     definitions, calls = [], {hook: list[str]() for hook in ADDED}
     for part in ahead.parts:
         made, kernel = printed(part.program, f"{name}_{part.term}")
@@ -239,9 +240,9 @@ def _sums(name: str, ahead: Ahead, printed: Printed) -> tuple[list[str], list[di
 
 
 def _numbers(ahead: Ahead, number: Callable[[float], Any]) -> dict[str, Any]:
-    """What the templates say of a feed-forward, its numbers as the language has them."""
+    """Words and numbers of a feed-forward for the templates; ``number`` writes one in the language."""
     return {
-        **said_of(ahead),
+        **feedforward_words(ahead),
         "own": list(map(number, ahead.own)),
         "repeats": ahead.repeats,
         "passes": ahead.passes,
@@ -301,8 +302,8 @@ def in_st(name: str, block: Block, vectors: Vectors) -> Files:
     return with_page(name, block, vectors, {f"{name}.st": template("block.st").render(words).rstrip() + "\n"})
 
 
-def _as_numbers(ahead: Ahead) -> dict[str, Any]:
-    """What a document says of a feed-forward."""
+def _ahead_data(ahead: Ahead) -> dict[str, Any]:
+    """A feed-forward as plain data for the JSON document."""
     own = ahead.feedforward
     return {**_numbers(ahead, float), "reversal": ahead.reversal, "wait": own.wait, "back_emf": own.back_emf}
 
@@ -323,13 +324,14 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
         "equations": words["equations"],
         "effects": block.axis.to_dict().get("effects", []),
         "gains": [
-            {"value": float(gain), "name": said} for gain, said in zip(block.law.gains, gain_names(block), strict=True)
+            {"value": float(gain), "name": gain_name}
+            for gain, gain_name in zip(block.law.gains, gain_names(block), strict=True)
         ],
         "memory": block.law.memory,
         "integral_that_waits": block.waits,
         "operations": operations_of(block),
         "drives": drive_settings(block.axis, {} if block.observes else gains_of(block.axis)),
-        "feedforward": None if block.ahead is None else _as_numbers(block.ahead),
+        "feedforward": None if block.ahead is None else _ahead_data(block.ahead),
         "vectors": vectors.to_dict(),
     }
     return {f"{name}.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}

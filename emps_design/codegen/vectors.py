@@ -1,9 +1,7 @@
-"""Test vectors of a block: inputs that exercise it, what it answers, and how far single precision may be from that.
+"""Test vectors of a block: inputs, the outputs of double precision, and how far single precision may be from them.
 
-The inputs are numbers of single precision, so that both precisions are given the same: at rest, in motion well within
-the limit, in and out of the limit, and extremes. Random numbers have a fixed seed.
-
-A block in single precision: how far its answer may be from that of double precision, sample by sample.
+The inputs are numbers of single precision, so that both precisions get the same: at rest, in motion well within the
+limit, in and out of the limit, and extremes. Random numbers have a fixed seed.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ SEED = 19
 
 
 class SinglePrecision:
-    """``block`` on rounded numbers, begun anew."""
+    """A fresh run of ``block`` on rounded numbers."""
 
     def __init__(self, block: Block):
         self.block, self.now, self.k = block, Roundings(), 0
@@ -36,28 +34,28 @@ class SinglePrecision:
         self.limit, self.kernel = self.now.constant(block.limit), block.rounded_kernel(self.now)
         self.memory = [self.now.exact(0.0)] * block.law.memory
 
-    def step(self, given: Sequence[float], motion: Sequence[float]) -> tuple[float, bool]:
+    def step(self, sample: Sequence[float], motion: Sequence[float]) -> tuple[float, bool]:
         """Bound for one sample, inf where there is none, and whether rounding decides a comparison.
 
-        ``given`` is reference, position and force, ``motion`` what is fed forward: position, velocity, acceleration.
+        ``sample`` is reference, position and force, ``motion`` position, velocity, acceleration for the feed-forward.
         """
         added, several = self.now.exact(0.0), False
         if self.block.ahead is not None:
             added, several = self.block.ahead.rounded(motion, self.now)
-        inputs = [self.now.exact(x) for x in given]
+        inputs = [self.now.exact(x) for x in sample]
         if self.block.law.error_alone:
             inputs[0], inputs[1] = self.now.exact(0.0), inputs[1] - inputs[0]
-        (u, *self.memory), more = every_way(partial(self._answer, inputs, added), self.now)
+        (u, *self.memory), more = every_way(partial(self._command_and_memory, inputs, added), self.now)
         self.k += 1
         apart = 2.0 * self.block.limit * (1.0 + HALF_UNIT)  # at most, within the limit
         return (math.inf if self.now.open else min(u.bound, apart)), several or more
 
-    def _answer(self, given: Sequence[Rounded], added: Rounded) -> list[Any]:
+    def _command_and_memory(self, inputs: Sequence[Rounded], added: Rounded) -> list[Any]:
         """The command and the memory after it."""
         memory = list(self.memory)
         waits = self.block.waits
         before = list(self.memory)
-        u = self.kernel(self.k, *given, self.limit, self.gains, memory) + added
+        u = self.kernel(self.k, *inputs, self.limit, self.gains, memory) + added
         if waits is not None and (u > self.limit or u < -self.limit):
             memory[waits] = before[waits]
         return [largest(smallest(u, self.limit), -self.limit), *memory]
@@ -72,17 +70,17 @@ class Vectors:
     reference: np.ndarray
     q: np.ndarray
     f_ext: np.ndarray
-    motion: tuple[np.ndarray, ...] = ()  # position, velocity, acceleration of the reference that is fed forward
+    motion: tuple[np.ndarray, ...] = ()  # position, velocity, acceleration of the reference, for the feed-forward
 
     @cached_property
-    def answers(self) -> Any:
+    def outputs(self) -> Any:
         """Command (n,) and memory (n, memory) by the simulation's own machine code."""
         return self.block.run(self.start, self.reference, self.q, self.f_ext, self.motion)
 
     @property
     def u(self) -> np.ndarray:
         """Command (n,) [command units]."""
-        return self.answers[0]
+        return self.outputs[0]
 
     @property
     def bound(self) -> np.ndarray:
@@ -96,21 +94,21 @@ class Vectors:
 
     @cached_property
     def _single(self) -> tuple[np.ndarray, np.ndarray]:
-        found, undecided = np.empty(self.q.size), np.zeros(self.q.size, bool)
+        bound, undecided = np.empty(self.q.size), np.zeros(self.q.size, bool)
         inputs = zip(self.reference.tolist(), self.q.tolist(), self.f_ext.tolist(), strict=True)
-        motion = zip(*(one.tolist() for one in self.motion), strict=True) if self.motion else itertools.repeat(())
-        for i, (given, ahead) in enumerate(zip(inputs, motion, strict=False)):
+        motion = zip(*(signal.tolist() for signal in self.motion), strict=True) if self.motion else itertools.repeat(())
+        for i, (sample, ahead) in enumerate(zip(inputs, motion, strict=False)):
             if self.start[i]:
                 single = SinglePrecision(self.block)
-            found[i], undecided[i] = single.step(given, ahead)
-        return found, undecided
+            bound[i], undecided[i] = single.step(sample, ahead)
+        return bound, undecided
 
     def to_csv(self) -> str:
-        """A table with units in its titles; numbers to the last bit. ``start`` is 1 where the block begins anew.
+        """A table with units in its titles; numbers to the last bit. ``start`` is 1 where the block restarts.
 
         ``single`` is the bound of single precision, inf where there is none.
         """
-        u, states = self.answers
+        u, states = self.outputs
         titles = ["start", *self.titles, "u", "single", *(f"memory[{i}]" for i in range(states.shape[1]))]
         inputs = [self.reference, self.q, self.f_ext, *self.motion]
         columns = [self.start.astype(float), *inputs, u, self.bound, *states.T]
@@ -123,12 +121,12 @@ class Vectors:
         return ("reference", "q", "f_ext", *(INPUTS if self.motion else ()))
 
     def to_dict(self) -> dict[str, Any]:
-        """Inputs and answers by name, as plain numbers; ``single`` is None where nothing bounds it."""
-        u, states = self.answers
-        bound = [one if math.isfinite(one) else None for one in self.bound.tolist()]
+        """Inputs and outputs by name, as plain numbers; ``single`` is None where nothing bounds it."""
+        u, states = self.outputs
+        bounds = [bound if math.isfinite(bound) else None for bound in self.bound.tolist()]
         signals = (self.reference, self.q, self.f_ext, *self.motion)
         inputs = {name: signal.tolist() for name, signal in zip(self.titles, signals, strict=True)}
-        return {"start": self.start.tolist(), **inputs, "u": u.tolist(), "single": bound, "memory": states.tolist()}
+        return {"start": self.start.tolist(), **inputs, "u": u.tolist(), "single": bounds, "memory": states.tolist()}
 
 
 def _shortest(number: float) -> str:
@@ -140,7 +138,7 @@ def vectors_of(block: Block) -> Vectors:
     """Vectors for ``block``, the same for the same block."""
     random = np.random.default_rng(SEED)
     amplitude = _within_limit(block, *_motion(random, MOTION))
-    parts = [_still(), *(_motion(random, n) for n in (MOTION, LIMITED, EXTREME))]
+    parts = [tuple(np.zeros((3, REST))), *(_motion(random, n) for n in (MOTION, LIMITED, EXTREME))]
     sizes = [0.0, amplitude, 30.0 * amplitude, 1e3]
     start = np.concatenate([np.arange(part[0].size) == 0 for part in parts])
     # Each part begins at rest somewhere else: a reference that is a position is there too.
@@ -156,29 +154,25 @@ def vectors_of(block: Block) -> Vectors:
 
 
 def _ahead(random: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
-    """Motion of a reference to feed forward (n,): through zero and beyond, at rest in between, slow and fast."""
-    q, v, a = (_single(one) for one in _motion(random, n))
+    """Position, velocity, acceleration (n,) each for the feed-forward, with reversals and rests, slow and fast."""
+    q, v, a = (_single(signal) for signal in _motion(random, n))
     slow = np.where(np.arange(n) % 7 < 3, 1e-3, 1.0)
     return q, _single(0.3 * slow * v), _single(a / FORCE_PER_METRE)
-
-
-def _still() -> tuple[np.ndarray, ...]:
-    return tuple(np.zeros(REST) for _ in range(3))
 
 
 def _motion(random: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
     """Reference, position and external force (n,), smooth and independent, with rests in between; of size 1."""
     t = np.arange(n) / n
-    found = []
+    waves = []
     for _ in range(3):
         frequencies, phases = random.uniform(1.0, 9.0, 4), random.uniform(0.0, 2.0 * np.pi, 4)
         wave = sum(np.sin(2.0 * np.pi * f * t + p) - np.sin(p) for f, p in zip(frequencies, phases, strict=True)) / 8.0
         wave = np.asarray(wave)
         stop = n // 2
         wave[stop : stop + n // 10] = wave[stop]
-        found.append(wave)
-    found[2] = found[2] * FORCE_PER_METRE
-    return tuple(found)
+        waves.append(wave)
+    waves[2] = waves[2] * FORCE_PER_METRE
+    return tuple(waves)
 
 
 def _within_limit(block: Block, *wave: np.ndarray) -> float:
@@ -187,7 +181,7 @@ def _within_limit(block: Block, *wave: np.ndarray) -> float:
         return TRAVEL
     start = np.arange(wave[0].size) == 0
     for power in range(6, -60, -1):
-        reference, q, f_ext = (_single(2.0**power * one) for one in wave)
+        reference, q, f_ext = (_single(2.0**power * signal) for signal in wave)
         u, _ = replace(block, ahead=None).run(start, reference, q, f_ext)
         if np.abs(u).max() < 0.8 * block.limit:
             return 2.0**power
