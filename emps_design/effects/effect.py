@@ -111,12 +111,12 @@ def kind_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class Motion:
-    """What a regressor sees: the motion of a record or a simulation, filtered alike, one row per sample.
+    """Motion of a record or a simulation as a regressor takes it: all signals filtered alike, one row per sample.
 
     ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never measured:
     a measured one would put the disturbance on both sides), ``voltage`` [V] the recorded one, ``smooth`` the
-    zero-phase low-pass that was applied (used on functions of ``q`` and ``t`` that must lose what the measured signals
-    lost), ``period`` [s], ``force_gain`` G_tau [N/V], needed where a parameter is a voltage.
+    zero-phase low-pass that was applied (also to be applied to functions of ``q`` and ``t``, so that both sides are
+    filtered alike), ``period`` [s], ``force_gain`` G_tau [N/V], needed where a parameter is a voltage.
     """
 
     t: np.ndarray
@@ -138,7 +138,7 @@ class Motion:
 class Effect:
     """One physical effect: its words, its parameters, its kernels and its regressor.
 
-    Hooks (None: the effect does not touch that place):
+    Hooks (None: the effect does not act there):
 
     ``force``      N, opposes motion like friction does, continuous in ``v`` at 0
     ``dry``        N, added to the Coulomb level that multiplies the set-valued sign
@@ -147,13 +147,14 @@ class Effect:
     ``actuator``   ``actuator(u, p) -> V``, static map from the recorded voltage to the one that acts
     ``delay``      s, between the recorded voltage and the one that acts
     ``lag``        s, time constant: the effect is a first-order lag of the motor force and nothing else. ``force`` and
-                   ``rate`` say the same; the simulation knows the solution and need not step them
+                   ``rate`` give the same; the simulation uses the exact solution instead of stepping them
     ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else.
-                   ``force`` says the same; the simulation knows the solution, and the impedance law can hold it
+                   ``force`` gives the same; the simulation uses the exact solution, and the impedance law can
+                   model it
     ``affine``     ``affine(p) -> (lower, upper)``: with these parameters ``force`` and ``rate`` are affine in ``q``,
                    ``v``, ``x`` as long as the first own state is within that range [its unit], above it, or below it
                    (infinite: everywhere), and read neither ``t`` nor ``tau``, and ``dry`` and ``inertia`` never
-                   change; the simulation knows the solution and steps events only. None: they are not
+                   change; the simulation uses the exact solution and steps events only. None: they are not
     ``winding``    True: the ``slopes`` are gone where the winding is open, and other effects see the motor force less
                    what they brake. A search needs a record with the motor switched off for a while
     ``sensor``     m, added to the position that the encoder reports
@@ -165,14 +166,14 @@ class Effect:
     ``takes_dry``  True: ``rate`` and ``force`` stand in for the set-valued friction (presliding)
     ``by_travel``  True: the one own state is a memory of the path: ``rate`` is proportional to ``v``, affine in ``x``
                    for each direction, and reads only ``level`` besides; ``force`` is proportional to ``x``. The
-                   simulation knows the solution
+                   simulation uses the exact solution
 
     ``regressor(motion, shape, b)`` returns the columns, shape (n_samples, n_linear) [N per unit of the coefficient],
-    of the extra force on the left-hand side of the inverse dynamic model; None where no column is honest.
+    of the extra force on the left-hand side of the inverse dynamic model; None where measured signals give no column.
     ``to_linear``/``from_linear`` translate between parameters and the coefficients of those columns; by default the
     coefficients are the linear parameters themselves.
 
-    ``plausible(parameters, motion)`` says whether numbers that fit still mean this effect on that motion: a stop that
+    ``plausible(parameters, motion)`` says whether fitted numbers still describe this effect on that motion: a stop that
     acts on most of the stroke is a spring, a ripple longer than a third of it is no ripple. None: they always do.
 
     ``propose(motion, residual, b, away)`` looks at the force residual (n,) [N] of the inverse model, trusted where
@@ -181,11 +182,11 @@ class Effect:
 
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
-    ``over``: the variable it is best seen over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
-    ``general``: a curve of any shape, which could stand in for other physics: looked for where nothing else is found.
-    ``element``: one of several whose sum has any shape; beside something unknown it may be a part of that.
+    ``over``: the variable to plot it over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
+    ``general``: a curve of any shape, which could stand in for other physics: tried after all other effects.
+    ``element``: one of several whose sum has any shape; with an unknown effect present it may be part of that.
     ``motion``: "rotary" of what only an axis that turns has, "" of the others.
-    ``lines``: how many of it, each of another shape, one machine may have; ``after`` is the name of the one before.
+    ``lines``: how many of it, of different shape, one machine may have; ``after`` is the name of the one before.
     ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
     ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
     ``identified_by``: for each model or term of ``identify`` that has the effect among its parameters, the function
@@ -268,11 +269,11 @@ class Effect:
         >>> [line.name for line in get_effect("position_ripple").several()][:2]
         ['position_ripple', 'position_ripple 2']
         """
-        found = [self]
+        effects = [self]
         for number in range(2, self.lines + 1):
             name, label = f"{self.name} {number}", f"{self.label}, line {number}"
-            found.append(replace(self, name=name, label=label, after=found[-1].name))
-        return tuple(found)
+            effects.append(replace(self, name=name, label=label, after=effects[-1].name))
+        return tuple(effects)
 
     @property
     def linear(self) -> tuple[str, ...]:

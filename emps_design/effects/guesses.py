@@ -1,7 +1,7 @@
 """Data-driven starting points for effects whose shape no short list of values covers: periods, instants, pulses.
 
-Everything here looks at a force residual (n,) [N] of the inverse model, trusted where ``away`` (n,) is True, and only
-proposes: the decision is made elsewhere, in closed loop.
+All functions take a force residual (n,) [N] of the inverse model, valid where ``away`` (n,) is True, and return
+proposals; a fit of the closed loop decides between them.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-SHARP = 2e-3  # s, to which the edges of pulses are sought
+SHARP = 2e-3  # s, resolution of the edges of pulses
 THINNED = 3000  # samples kept for a search: above 100 Hz of a 25 s record
-MOST_PULSES = 100  # of a train; what comes more often is no push now and then
-CHUNK = 32  # wave numbers at a time: what is reckoned with them stays in the processor's cache
+MOST_PULSES = 100  # of a train; more of them are a periodic disturbance
+CHUNK = 32  # wave numbers at a time, so that the arrays fit into the processor's cache
 
 
 def thin(away: np.ndarray, most: int = THINNED) -> np.ndarray:
-    """Indices of at most ``most`` trusted samples, evenly spread."""
-    trusted = np.nonzero(away)[0]
-    return trusted[:: max(1, -(-trusted.size // most))]
+    """Indices of at most ``most`` of the samples ``away`` from reversals, evenly spread."""
+    valid = np.nonzero(away)[0]
+    return valid[:: max(1, -(-valid.size // most))]
 
 
 def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual at ``index`` free of what mass, friction and offset absorb; and an orthonormal basis (k, 4) of those."""
+    """Residual at ``index`` without its projection on mass, friction and offset; and their orthonormal basis (k, 4)."""
     columns = np.column_stack([a[index], v[index], np.sign(v[index]), np.ones(index.size)])
     scale = np.linalg.norm(columns, axis=0)
     basis = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)[0]
@@ -34,7 +34,7 @@ def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray
 def squares_explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     """Sum of squares (m,) of ``target`` (k,) that each pair of columns of ``sine`` and ``cosine`` (k, m) explains.
 
-    ``target`` has no part in ``basis`` (k, 4), which is orthonormal; what the pairs have in it does not count.
+    ``target`` is orthogonal to the orthonormal ``basis`` (k, 4); the part of the pairs within the basis does not count.
     """
     inside = basis.T @ sine, basis.T @ cosine
     whole = sine, cosine
@@ -86,7 +86,7 @@ def periods(
     power = np.empty(turns.size)
     angle = 2 * np.pi * coordinate[index][:, None]
     first = np.exp(1j * angle * turns[:CHUNK])
-    for start in range(0, turns.size, CHUNK):  # the waves of a piece are those of the first one, turned
+    for start in range(0, turns.size, CHUNK):  # the waves of a piece are those of the first one, shifted in phase
         piece = slice(start, start + CHUNK)
         turned = first[:, : turns[piece].size] * np.exp(1j * angle * (turns[start] - turns[0]))
         phases = np.ascontiguousarray(turned.imag), np.ascontiguousarray(turned.real)
@@ -116,11 +116,11 @@ def instants(
         return np.where(size > 0, (target @ free) ** 2 / np.where(size > 0, size, 1.0), 0.0)
 
     coarse = np.linspace(t[index[0]], t[index[-1]], 62)
-    step, found = coarse[1] - coarse[0], []
-    for best in strongest(power(coarse[1:-1]), count):  # then to a fiftieth of the step: an edge guides no refinement
+    step, edges = coarse[1] - coarse[0], []
+    for best in strongest(power(coarse[1:-1]), count):  # then to a fiftieth of the step: an edge has no gradient
         fine = coarse[1 + best] + np.linspace(-step, step, 101)
-        found.append(float(fine[int(np.argmax(power(fine)))]))
-    return found
+        edges.append(float(fine[int(np.argmax(power(fine)))]))
+    return edges
 
 
 def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str, float]]:
@@ -131,7 +131,7 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
     width = max(1, round(0.02 / period))
     smooth = np.convolve(residual - np.median(residual), np.ones(width) / width, mode="same")
     spread = 1.4826 * float(np.median(np.abs(smooth))) + 1e-12
-    found: list[dict[str, float]] = []
+    trains: list[dict[str, float]] = []
     for sign in (1.0, -1.0):
         beyond = np.concatenate(([0], (sign * smooth > 4 * spread).astype(int), [0]))
         edges = np.diff(beyond)
@@ -153,20 +153,20 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
         begins = [float(t[runs[i][0]]) for i in alike]
         gaps = np.diff(begins)
         pulse = {"amplitude": heights[tallest], "start": begins[0], "duration": duration}
-        # Where some pulses are not seen, the least time between two is the one from each to the next.
+        # Where some pulses are missed, the least time between two is the one from each to the next.
         rhythms = {float(np.median(gaps)), float(gaps.min())} if gaps.size else set()
-        found += [{**pulse, "every": every} for every in sorted(rhythms)]
-        found.append({**pulse, "start": float(t[runs[tallest][0]]), "every": 0.0})
-    found = [pulse for pulse in found if not pulse["every"] or t[-1] - pulse["start"] < MOST_PULSES * pulse["every"]]
+        trains += [{**pulse, "every": every} for every in sorted(rhythms)]
+        trains.append({**pulse, "start": float(t[runs[tallest][0]]), "every": 0.0})
+    trains = [pulse for pulse in trains if not pulse["every"] or t[-1] - pulse["start"] < MOST_PULSES * pulse["every"]]
     area = np.concatenate(([0.0], np.cumsum(residual - np.median(residual)))) * period
-    found = [_sharpened(pulse, area, t, period) for pulse in found]
-    return sorted(found, key=lambda p: -abs(p["amplitude"]) * p["duration"])
+    trains = [_refined_train(pulse, area, t, period) for pulse in trains]
+    return sorted(trains, key=lambda p: -abs(p["amplitude"]) * p["duration"])
 
 
-def _sharpened(pulse: dict[str, float], area: np.ndarray, t: np.ndarray, period: float) -> dict[str, float]:
+def _refined_train(pulse: dict[str, float], area: np.ndarray, t: np.ndarray, period: float) -> dict[str, float]:
     """The train near ``pulse`` whose boxes hold most of the signal with running integral ``area`` (n + 1,).
 
-    Where a pulse begins as the friction hides it, the first guess of its edges is off, and so is every later pulse.
+    Where friction hides the edge of a pulse, the first guess of its edges is off, and so is every later pulse.
     """
     start, every, length = pulse["start"], pulse["every"], pulse["duration"]
     least = max(length, (t[-1] - start) / MOST_PULSES)  # pulses do not overlap

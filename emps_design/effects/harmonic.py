@@ -51,7 +51,7 @@ def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]
 
 
 def phase(zero: str) -> Parameter:
-    """The phase, at the ``zero`` named; where that lies is another one in every record."""
+    """The phase at ``zero``, which lies elsewhere in every record."""
     return Parameter("phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text=f"phase at {zero}")
 
 
@@ -72,18 +72,18 @@ def in_symbols(q: sympy.Symbol, p: Parameters, repeats: str = "period") -> sympy
 def periods(motion: Motion, residual: np.ndarray, away: np.ndarray, columns: guesses.Waves) -> list[dict[str, float]]:
     """Starts for a ``period``: where ``columns`` explain most of ``residual`` (n,) [N] on the samples ``away``.
 
-    The shortest that is tried is in proportion to the stroke, and no shorter than the record can tell.
+    The shortest that is tried is in proportion to the stroke, and not below what the record resolves.
     """
-    shortest = max(SHORTEST * stroke_size(motion.q), shortest_told(motion))
-    found = guesses.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest)
-    return [{"period": period} for period in found]
+    shortest = max(SHORTEST * stroke_size(motion.q), shortest_resolved(motion))
+    lengths = guesses.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest)
+    return [{"period": period} for period in lengths]
 
 
-def shortest_told(motion: Motion) -> float:
-    """The shortest period of travel [m] that a record tells: sampled twice a period along half of the travel, or more.
+def shortest_resolved(motion: Motion) -> float:
+    """The shortest period of travel [m] that a record resolves: two samples a period along half of the travel.
 
     >>> t = np.arange(0.0, 1.0, 0.01)
-    >>> shortest_told(Motion(t, 0.1 * t, 0.1 + 0.0 * t, 0.0 * t, 0.0 * t, 0.01))
+    >>> shortest_resolved(Motion(t, 0.1 * t, 0.1 + 0.0 * t, 0.0 * t, 0.0 * t, 0.01))
     0.002
     """
     speed = np.sort(np.abs(motion.v))

@@ -1,6 +1,6 @@
 """Starts and bounds of an effect for the axis at hand: those of the library are written for an ordinary linear axis.
 
-A play of 0.1 mm is worth a try on a stroke of 0.25 m; on an axis that turns by 2 rad it is 1 mrad. So every
+A backlash of 0.1 mm is plausible on a stroke of 0.25 m, one of 1 mrad on an axis that turns by 2 rad. So every
 start and bound with a length, a speed, a force or a command in its unit is scaled by how much longer, faster or
 stronger an axis is.
 """
@@ -18,7 +18,7 @@ from emps_design.effects.effect import Effect, Parameter
 # The axis that the library's numbers are written for, by unit: stroke, top speed, largest motor force and command.
 ORDINARY = {"m": 0.25, "m/s": 0.15, "N": 200.0, "V": 5.0}
 ALIKE = 3.0  # up to this many times more or less, an axis is an ordinary one
-TURN = 2.0 * np.pi  # rad (or m), beyond which no stroke is longer: what a shaft meets in one turn it meets in the next
+TURN = 2.0 * np.pi  # rad (or m), longest stroke that counts: a shaft repeats itself after one turn
 
 
 def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dict[str, float]:
@@ -31,12 +31,12 @@ def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dic
     {'m': 1.0, 'm/s': 1.0, 'N': 1.0, 'V': 1.0}
     """
     span = max(1, q.size // 100)
-    found = {
+    largest = {
         "m/s": float(np.abs(q[span:] - q[:-span]).max(initial=0.0)) / (span * period),
         "N": float(np.abs(u).max(initial=0.0)) * force_gain,
         "V": float(np.abs(u).max(initial=0.0)),
     }
-    return {"m": stroke_size(q), **{unit: _against_ordinary(size, unit) for unit, size in found.items()}}
+    return {"m": stroke_size(q), **{unit: _relative_size(size, unit) for unit, size in largest.items()}}
 
 
 def stroke_size(q: np.ndarray) -> float:
@@ -45,10 +45,10 @@ def stroke_size(q: np.ndarray) -> float:
     >>> stroke_size(np.array([0.0, 0.24])), stroke_size(np.array([-1.0, 1.0])), stroke_size(np.array([0.0, 200.0]))
     (1.0, 8.0, 25.132741228718345)
     """
-    return _against_ordinary(min(float(np.ptp(q)), TURN), "m")
+    return _relative_size(min(float(np.ptp(q)), TURN), "m")
 
 
-def _against_ordinary(size: float, unit: str) -> float:
+def _relative_size(size: float, unit: str) -> float:
     ratio = size / ORDINARY[unit]
     return ratio if ratio > 0.0 and not 1 / ALIKE <= ratio <= ALIKE else 1.0
 
@@ -68,7 +68,7 @@ def sized(effect: Effect, factors: Mapping[str, float]) -> Effect:
 
 
 def sized_parameter(parameter: Parameter, factors: Mapping[str, float]) -> Parameter:
-    """A single ``parameter`` in the same way."""
+    """The ``parameter`` with starts, bounds and typical size times the factor of its unit."""
     factor = _factor(parameter.unit, factors)
     if factor == 1.0 or parameter.discrete:
         return parameter
@@ -82,7 +82,7 @@ def sized_parameter(parameter: Parameter, factors: Mapping[str, float]) -> Param
 
 
 def _factor(unit: str, factors: Mapping[str, float]) -> float:
-    """The factor of a unit such as N/m or N/(m/s): that of what stands above the line over that below.
+    """The factor of a unit such as N/m or N/(m/s): that of the numerator over that of the denominator.
 
     >>> _factor("N/(m/s)", {"N": 6.0, "m/s": 2.0, "m": 5.0}), _factor("Hz", {"N": 6.0})
     (3.0, 1.0)

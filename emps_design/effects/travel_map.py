@@ -1,7 +1,7 @@
 """What effects that are a map over the travel share: a smooth curve through few knots, and its start.
 
 The travel from ``start`` to ``end`` is cut into six equal pieces. The curve is zero at the start, where the constant
-force or the Coulomb level of the axis holds, ``height_1`` to ``height_6`` at the other knots, and level beyond both.
+force or the Coulomb level of the axis holds, ``height_1`` to ``height_6`` at the other knots, and constant beyond both.
 Between knots it is the cubic whose slopes there are central differences (Catmull and Rom), at its two ends zero.
 """
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 PIECES = 6
 NAMES = tuple(f"height_{i + 1}" for i in range(PIECES))
-ALIKE = 0.97  # of a map's variance, from which on a simpler curve says the same
-LENGTHS = np.geomspace(0.4, 1.5, 12)  # of the harmonics that would, in spans of the map
+ALIKE = 0.97  # of a map's variance, from which on a simpler curve fits as well
+LENGTHS = np.geomspace(0.4, 1.5, 12)  # of the harmonics to compare with, in spans of the map
 
 
 def height(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> float:
@@ -76,7 +76,7 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
 
 
 def plausible(line: bool) -> Callable[[Parameters, Motion], bool]:
-    """Return the test that no simpler curve says the same: a harmonic of the travel, or, where asked, a ``line``."""
+    """Return the test that no simpler curve fits as well: a harmonic of the travel, or, where asked, a ``line``."""
 
     def plausible(parameters: Parameters, motion: Motion) -> bool:
         place = np.linspace(0.0, 1.0, PIECES + 1)
@@ -84,8 +84,8 @@ def plausible(line: bool) -> Callable[[Parameters, Motion], bool]:
         simpler = [harmonic.columns(2 * np.pi * place / length) for length in LENGTHS]
         simpler += [place[:, None]] * line
         designs = [np.column_stack([np.ones_like(place), curve]) for curve in simpler]
-        left = min(float(np.sum((heights - d @ np.linalg.lstsq(d, heights)[0]) ** 2)) for d in designs)
-        return left > (1.0 - ALIKE) * float(np.sum((heights - heights.mean()) ** 2))
+        unexplained = min(float(np.sum((heights - d @ np.linalg.lstsq(d, heights)[0]) ** 2)) for d in designs)
+        return unexplained > (1.0 - ALIKE) * float(np.sum((heights - heights.mean()) ** 2))
 
     return plausible
 

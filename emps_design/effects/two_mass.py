@@ -17,7 +17,7 @@ from emps_design.quantities import Quantity
 STATES = (Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s"))
 GAP = 0  # place of the gap among the numbers of play, where there is some
 LOWEST, HIGHEST = 5.0, 400.0  # Hz, between which a search looks for the resonance
-# What an axis file may say: a gantry with a long arm sways slowly, a small drive rings far beyond what a record shows.
+# What an axis file may give: a gantry with a long arm sways slowly, a small drive rings far beyond what a record shows.
 RESONANCES, DAMPINGS, SHARES = (0.1, 20_000.0), (0.0, 10.0), (1e-4, 0.9999)
 SETTLING = 2e-5  # s
 NO_REGRESSOR = "the load is a state that no measured signal gives"
@@ -26,7 +26,7 @@ NO_REGRESSOR = "the load is a state that no measured signal gives"
 def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) -> tuple[Parameter, ...]:
     """Resonance [Hz] of the free ``pair`` of masses, its damping ratio, and the share of the mass ``behind`` it.
 
-    Their bounds are those within which a search looks; an axis file may say more.
+    Their bounds are those within which a search looks; an axis file may go beyond them.
     """
     resonance, ratio = f"resonance of the two masses{pair}, free", "damping ratio of that resonance"
     return (
@@ -66,7 +66,7 @@ def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) 
 
 def load_friction(v: float, share: float, mass: float, b: np.ndarray) -> float:
     """The ``share`` of the friction of the baseline ``b`` [N] that brakes a load of ``mass`` [kg] at ``v`` [m/s]."""
-    if share == 0.0:  # nearly always, and the root takes longer than the rest of the coupling
+    if share == 0.0:  # the usual case, without the square root
         return 0.0
     coulomb = share * b[COULOMB]
     slow = SETTLING * coulomb / mass

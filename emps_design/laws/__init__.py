@@ -60,14 +60,14 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
     if kind == NONE:
         *most, last = known_laws()
         raise AxisError(f"controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop")
-    law, own, recorded = get_law(kind), _own(axis), recorded_gains(axis)
+    law, own, recorded = get_law(kind), _own_parameters(axis), recorded_gains(axis)
     if not recorded:
         return law.law(law.table(**own), axis, period)
-    rows, sample = np.unique(_recorded(recorded, columns or {}), axis=0, return_inverse=True)
-    found = []
+    rows, sample = np.unique(_gain_rows(recorded, columns or {}), axis=0, return_inverse=True)
+    row_laws = []
     for row in rows.tolist():
         try:
-            found.append(law.law(law.table(**{**own, **dict(zip(recorded, row, strict=True))}), axis, period))
+            row_laws.append(law.law(law.table(**{**own, **dict(zip(recorded, row, strict=True))}), axis, period))
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]
             name, source = problem["loc"][0], recorded[str(problem["loc"][0])]
@@ -75,9 +75,11 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
                 f"controller.{name}: found {problem['input']:g} from column {source['record']!r} of the record times "
                 f"{source['scale']:g}; {problem['msg']}"
             ) from error
-    if len(found) == 1:
-        return found[0]
-    return replace(found[0], gains=np.array([one.gains for one in found])[sample.ravel()], state_feedback=False)
+    if len(row_laws) == 1:
+        return row_laws[0]
+    return replace(
+        row_laws[0], gains=np.array([row_law.gains for row_law in row_laws])[sample.ravel()], state_feedback=False
+    )
 
 
 def recorded_gains(axis: Any) -> dict[str, dict[str, Any]]:
@@ -88,23 +90,23 @@ def recorded_gains(axis: Any) -> dict[str, dict[str, Any]]:
     >>> recorded_gains(machine("emps2019").replace(controller={"kind": "p", "kp": kp}))
     {'kp': {'record': 'kp', 'scale': 2.0}}
     """
-    own = {} if axis.controller.kind == NONE else _own(axis)
+    own = {} if axis.controller.kind == NONE else _own_parameters(axis)
     return {name: source for name, source in own.items() if isinstance(source, dict) and "record" in source}
 
 
 def table_of(axis: Any) -> LawTable:
-    """The parameters of the law that ``axis`` asks for, without those that wait there for other kinds."""
-    return get_law(axis.controller.kind).table(**_own(axis))
+    """The parameters of the law that ``axis`` asks for, without those kept there for other kinds."""
+    return get_law(axis.controller.kind).table(**_own_parameters(axis))
 
 
-def _own(axis: Any) -> dict[str, Any]:
+def _own_parameters(axis: Any) -> dict[str, Any]:
     parameters = axis.controller.parameters
     return {name: parameters[name] for name in get_law(axis.controller.kind).table.model_fields if name in parameters}
 
 
-def _recorded(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.ndarray:
-    """The gains that a record gives, one row for each sample, or one alone; a column for each of ``sources``."""
-    found = []
+def _gain_rows(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.ndarray:
+    """Gains from a record (n or 1, number of ``sources``): a row for each sample, or one for all."""
+    gains = []
     for name, source in sources.items():
         if source["record"] not in columns:
             raise AxisError(
@@ -112,32 +114,32 @@ def _recorded(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.ndar
                 f"{', '.join(columns) or 'no record'}; expected a record with that column, or a number"
             )
         try:
-            found.append(source["scale"] * np.atleast_1d(np.asarray(columns[source["record"]], dtype=float)))
+            gains.append(source["scale"] * np.atleast_1d(np.asarray(columns[source["record"]], dtype=float)))
         except (TypeError, ValueError) as error:
             raise AxisError(
                 f"controller.{name}: column {source['record']!r} of the record is no numbers ({error})"
             ) from error
-    return np.column_stack(np.broadcast_arrays(*found))
+    return np.column_stack(np.broadcast_arrays(*gains))
 
 
-def checked_parameters(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Check the numbers ``given`` to a law of ``kind`` and return them with its defaults, in the order of the laws.
+def checked_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Check the ``parameters`` of a law of ``kind`` and return them with its defaults, in the order of the laws.
 
-    A ``[controller]`` table may hold parameters of other kinds too, which wait there for their own. Raises pydantic's
-    ``ValidationError`` for what is unknown or out of bounds, :class:`AxisError` for what is missing.
+    A ``[controller]`` table may hold parameters of other kinds too, which are kept for a change of kind. Raises
+    pydantic's ``ValidationError`` for what is unknown or out of bounds, :class:`AxisError` for what is missing.
     """
     law = None if kind == NONE else get_law(kind)
-    given = {name: value for name, value in given.items() if value is not None or name not in fields_of(kind)}
-    missing = [name for name in law.needs if name not in given] if law else []
+    parameters = {name: value for name, value in parameters.items() if value is not None or name not in fields_of(kind)}
+    missing = [name for name in law.needs if name not in parameters] if law else []
     if missing:
         raise AxisError(f"kind {kind!r} needs {', '.join(missing)}")
-    checked = _table(kind, tuple(known_laws().values())).model_validate(given)
+    checked = _table(kind, tuple(known_laws().values())).model_validate(parameters)
     values = checked.model_dump(exclude_none=True)
     return {name: values[name] for name in fields_of(kind) if name in values}
 
 
 def fields_of(kind: str = NONE) -> dict[str, FieldInfo]:
-    """Every parameter that a ``[controller]`` table may hold, by name; ``kind`` says whose meaning counts.
+    """Every parameter that a ``[controller]`` table may hold, by name; a name of several laws is that of ``kind``.
 
     >>> fields_of()["kp"].json_schema_extra["unit"]
     '1/s'
@@ -156,12 +158,12 @@ def field_at(kind: str, path: Sequence[str]) -> FieldInfo | None:
     >>> field_at("cascade", ["velocity", "ti"]).json_schema_extra["unit"]
     's'
     """
-    fields, found = fields_of(kind), None
+    fields, field = fields_of(kind), None
     for key in path:
         if not key.isdigit():  # a place in a list
-            found = fields.get(key)
-            fields = fields_within(found)
-    return found
+            field = fields.get(key)
+            fields = fields_within(field)
+    return field
 
 
 def fields_within(field: FieldInfo | None) -> dict[str, FieldInfo]:
@@ -171,7 +173,7 @@ def fields_within(field: FieldInfo | None) -> dict[str, FieldInfo]:
 
 
 def leaves(parameters: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every value of a ``[controller]`` table with the path of keys to it, inner tables and lists walked through.
+    """Every value of a ``[controller]`` table with the path of keys to it, inner tables and lists included.
 
     >>> list(leaves({"kp": 2.0, "filters": [{"frequency": 350.0}]}))
     [(('kp',), 2.0), (('filters', '0', 'frequency'), 350.0)]
@@ -193,13 +195,13 @@ def _group(annotation: Any) -> type[Group] | None:
 
 @lru_cache(maxsize=64)
 def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
-    """The table of ``kind`` with what the other ``laws`` have as well, none of it needed."""
+    """The table of ``kind`` with the parameters of the other ``laws`` as optional fields."""
     base = next((law.table for law in laws if law.name == kind), LawTable)
     more: dict[str, Any] = {}
     for name, field in fields_of(kind).items():
         if name not in base.model_fields:
-            theirs = [law.table.model_fields[name] for law in laws if name in law.table.model_fields]
-            field = next(filter(_may_wait, theirs), field)  # it is kept as it was written
+            candidates = [law.table.model_fields[name] for law in laws if name in law.table.model_fields]
+            field = next(filter(_from_record, candidates), field)  # the widest type: it is kept as it was written
             optional = copy(field)
             optional.default = None
             constrained: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
@@ -208,9 +210,9 @@ def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
     return create_model("Controller", __base__=base, **more)
 
 
-def _may_wait(field: FieldInfo) -> bool:
-    """Whether a ``field`` may be left to a record."""
-    return any(FromRecord in (one, *get_args(one)) for one in get_args(field.annotation))
+def _from_record(field: FieldInfo) -> bool:
+    """Whether a record may give the ``field``."""
+    return any(FromRecord in (member, *get_args(member)) for member in get_args(field.annotation))
 
 
 REGISTRY.load_environment()

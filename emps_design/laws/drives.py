@@ -18,7 +18,7 @@ Value = Callable[[float, Any], float | None]  # of a gain and an axis
 
 @dataclass(frozen=True)
 class Setting:
-    """A parameter of a drive ``family``: its ``name``, its ``unit``, the gain that it holds, and where that is said.
+    """A parameter of a drive ``family``: its ``name``, its ``unit``, the gain that it holds, and its manual.
 
     ``value`` makes a gain of the axis file, SI, a number of that unit, None where the axis has another command.
     """
@@ -36,7 +36,7 @@ def _times(factor: float) -> Value:
 
 
 def side_of(axis: Any) -> str:
-    """Whose force and speed the settings of :func:`drive_settings` are about: the ``motor``'s, or the ``axis``'s."""
+    """The side on which :func:`drive_settings` counts force and speed: ``motor`` or ``axis``."""
     return "motor" if axis.drive.reduction else "axis"
 
 
@@ -45,7 +45,7 @@ def _force(gain: float, axis: Any) -> float:
 
 
 def _turns(axis: Any) -> bool:
-    """Whether the settings are about something that turns."""
+    """Whether the motion on that side is a rotation."""
     return axis.motion == "rotary" or axis.drive.reduction is not None
 
 
@@ -54,7 +54,7 @@ def _torque(gain: float, axis: Any) -> float | None:
 
 
 def _current(gain: float, axis: Any) -> float | None:
-    """In steps of 0.1 mA; of a command in % of rated nothing says how many amperes it is."""
+    """In steps of 0.1 mA; None for a command in % of rated, whose amperes are not known."""
     amperes = axis.units.command_in("A")
     if amperes is None or not _turns(axis):
         return None
@@ -92,22 +92,22 @@ SETTINGS = (
 
 
 def drive_settings(axis: Any, gains: dict[str, float]) -> list[dict[str, Any]]:
-    """What each drive's parameters are for ``gains`` of a PI cascade on ``axis``: position.kp, velocity.kp, .ti, SI.
+    """The parameters of each drive for ``gains`` of a PI cascade on ``axis``: position.kp, velocity.kp, .ti, SI.
 
-    Of each also the ``side`` that they count on, as :func:`side_of` says.
+    Each row also has its ``side``, as :func:`side_of` gives it.
 
     >>> from emps_design.machines import machine
     >>> rows = drive_settings(machine("emps2019"), {"velocity.ti": 0.018})
     >>> [(row["parameter"], round(row["value"], 9), row["unit"]) for row in rows if row["family"] == "Beckhoff AX5000"]
     [('S-0-0101', 18.0, 'ms')]
     """
-    found = []
-    for one in SETTINGS:
-        value = one.value(gains[one.gain], axis) if one.gain in gains else None
+    rows = []
+    for setting in SETTINGS:
+        value = setting.value(gains[setting.gain], axis) if setting.gain in gains else None
         if value is not None:
-            found.append({"family": one.family, "parameter": one.name, "value": value, "unit": one.unit,
-                          "gain": one.gain, "side": side_of(axis), "source": one.source})  # fmt: skip
-    return found
+            rows.append({"family": setting.family, "parameter": setting.name, "value": value, "unit": setting.unit,
+                          "gain": setting.gain, "side": side_of(axis), "source": setting.source})  # fmt: skip
+    return rows
 
 
 def gains_of(axis: Any) -> dict[str, float]:
@@ -116,5 +116,5 @@ def gains_of(axis: Any) -> dict[str, float]:
     velocity, position = table.get("velocity"), table.get("position")
     if not isinstance(velocity, dict) or velocity.get("form", "pi") != "pi":
         return {}
-    found = {POSITION: (position or {}).get("kp"), PROPORTIONAL: velocity.get("kp"), INTEGRAL: velocity.get("ti")}
-    return {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
+    gains = {POSITION: (position or {}).get("kp"), PROPORTIONAL: velocity.get("kp"), INTEGRAL: velocity.get("ti")}
+    return {name: float(value) for name, value in gains.items() if isinstance(value, int | float)}

@@ -42,7 +42,7 @@ EXPECTED = (
     'two_tap, backward, { kind = "slope", points = n }, { kind = "filtered", frequency = Hz } or '
     '{ kind = "tracking", bandwidth = rad/s }'
 )
-NAME, TABLE = "a name", "a table of its own"  # what an estimator may be; with blanks, as no key of a table
+NAME, TABLE = "a name", "a table of its own"  # tags of the union; with blanks, as no key of a table has
 
 
 def parameter(description: str, unit: str, default: Any = ...) -> Any:
@@ -90,123 +90,124 @@ class Estimator(Group):
         return float(getattr(self, NUMBERS[self.kind]))
 
 
-def _named(given: Any) -> Any:
-    if not (isinstance(given, str) and given in NAMED):
-        raise ValueError(f"found {given!r:.60}, expected {EXPECTED}")
-    return given
+def _check_name(name: Any) -> Any:
+    if not (isinstance(name, str) and name in NAMED):
+        raise ValueError(f"found {name!r:.60}, expected {EXPECTED}")
+    return name
 
 
 VelocityEstimator = Annotated[
-    Annotated[Literal["two_tap", "backward"], BeforeValidator(_named), Tag(NAME)] | Annotated[Estimator, Tag(TABLE)],
-    Discriminator(lambda given: TABLE if isinstance(given, dict | Estimator) else NAME),
+    Annotated[Literal["two_tap", "backward"], BeforeValidator(_check_name), Tag(NAME)]
+    | Annotated[Estimator, Tag(TABLE)],
+    Discriminator(lambda estimator: TABLE if isinstance(estimator, dict | Estimator) else NAME),
 ]
 WORDS = "velocity from the position: two-tap average and backward difference, backward difference alone, or a table"
 
 
-def estimator_of(given: Any) -> str | Estimator:
-    """The estimator that is ``given`` by its name, its table as plain data, or itself.
+def estimator_of(estimator: Any) -> str | Estimator:
+    """The estimator with this name or table (plain data); an :class:`Estimator` is returned as it is.
 
     Raises :class:`InputError` for any other.
 
     >>> estimator_of({"kind": "slope", "points": 4}).number, estimator_of("backward")
     (4.0, 'backward')
     """
-    if isinstance(given, Estimator) or (isinstance(given, str) and given in NAMED):
-        return given
+    if isinstance(estimator, Estimator) or (isinstance(estimator, str) and estimator in NAMED):
+        return estimator
     try:
-        if isinstance(given, Mapping):
-            return Estimator.model_validate(dict(given))
-        _named(given)
+        if isinstance(estimator, Mapping):
+            return Estimator.model_validate(dict(estimator))
+        _check_name(estimator)
     except ValidationError as error:
         problem = error.errors(include_url=False)[0]
         place = ".".join(["velocity_estimator", *map(str, problem["loc"])])
         raise InputError(f"{place}: {problem['msg'].removeprefix('Value error, ')}; expected {EXPECTED}") from error
     except ValueError as error:
         raise InputError(f"velocity estimator: {error}") from error
-    raise AssertionError(given)
+    raise AssertionError(estimator)
 
 
-def polynomials(given: Any, period: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def polynomials(estimator: Any, period: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """``b`` and ``a`` of E(z) in powers of 1/z, equally many, at a sampling ``period`` [s].
 
     >>> polynomials({"kind": "slope", "points": 4}, 1e-3)
     ((0.3, 0.4, 0.3), (1.0, 0.0, 0.0))
     """
-    one = estimator_of(given)
-    if isinstance(one, str):
-        return NAMED[one], (1.0,) + (0.0,) * (len(NAMED[one]) - 1)
-    if one.kind == "slope":
-        n = int(one.number)
+    estimator = estimator_of(estimator)
+    if isinstance(estimator, str):
+        return NAMED[estimator], (1.0,) + (0.0,) * (len(NAMED[estimator]) - 1)
+    if estimator.kind == "slope":
+        n = int(estimator.number)
         b = tuple(6.0 * (i + 1) * (n - 1 - i) / (n * (n * n - 1)) for i in range(n - 1))
         return b, (1.0,) + (0.0,) * (n - 2)
-    if one.kind == "filtered":
-        c = math.pi * one.number * period  # w0 T / 2
+    if estimator.kind == "filtered":
+        c = math.pi * estimator.number * period  # w0 T / 2
         return (c / (1.0 + c), c / (1.0 + c)), (1.0, (c - 1.0) / (1.0 + c))
-    p = math.exp(-one.number * period)
-    return (math.expm1(-one.number * period) ** 2, 0.0, 0.0), (1.0, -2.0 * p, p * p)
+    p = math.exp(-estimator.number * period)
+    return (math.expm1(-estimator.number * period) ** 2, 0.0, 0.0), (1.0, -2.0 * p, p * p)
 
 
-def estimator_response(given: Any, w: np.ndarray, period: float) -> np.ndarray:
-    """E(z) at ``w`` [rad/s], a frequency response of any shape.
+def estimator_response(estimator: Any, w: np.ndarray, period: float) -> np.ndarray:
+    """Frequency response E(z) at ``w`` [rad/s], in the shape of ``w``.
 
     >>> w = np.array([100.0])
     >>> abs(estimator_response("two_tap", w, 1e-3)).round(6).tolist()
     [0.99875]
     """
-    return estimator_at(given, np.exp(-1j * np.asarray(w) * period), period)
+    return estimator_at(estimator, np.exp(-1j * np.asarray(w) * period), period)
 
 
-def estimator_at(given: Any, back: np.ndarray, period: float) -> np.ndarray:
-    """E(z) where 1/z is ``back``, of any shape.
+def estimator_at(estimator: Any, back: np.ndarray, period: float) -> np.ndarray:
+    """E(z) at 1/z = ``back``, in the shape of ``back``.
 
     >>> estimator_at("two_tap", np.array([1.0, -1.0]), 1e-3).tolist()
     [1.0, 0.0]
     """
-    b, a = polynomials(given, period)
+    b, a = polynomials(estimator, period)
     return np.polyval(b[::-1], back) / np.polyval(a[::-1], back)
 
 
-def continuous(given: Any) -> tuple[list[float], list[float]]:
+def continuous(estimator: Any) -> tuple[list[float], list[float]]:
     """Numerator and denominator in s [1/s], highest power first, of the limit of E(z) with ever faster sampling.
 
     >>> continuous({"kind": "tracking", "bandwidth": 100.0})
     ([10000.0], [1.0, 200.0, 10000.0])
     """
-    one = estimator_of(given)
-    if isinstance(one, str) or one.kind == "slope":
+    estimator = estimator_of(estimator)
+    if isinstance(estimator, str) or estimator.kind == "slope":
         return [1.0], [1.0]
-    w = 2.0 * math.pi * one.number if one.kind == "filtered" else one.number
-    return ([w], [1.0, w]) if one.kind == "filtered" else ([w * w], [1.0, 2.0 * w, w * w])
+    w = 2.0 * math.pi * estimator.number if estimator.kind == "filtered" else estimator.number
+    return ([w], [1.0, w]) if estimator.kind == "filtered" else ([w * w], [1.0, 2.0 * w, w * w])
 
 
-def taps(given: Any) -> float:
-    """What a kernel's gains say of the estimator: 1 two_tap, 0 backward, below 0 the order of another, negative."""
-    one = estimator_of(given)
-    if isinstance(one, str):
-        return float(one == TWO_TAP)
-    return float(1 - len(polynomials(one, 1.0)[0]))
+def taps(estimator: Any) -> float:
+    """Code of the estimator in a kernel's gains: 1 two_tap, 0 backward, minus the order of any other."""
+    estimator = estimator_of(estimator)
+    if isinstance(estimator, str):
+        return float(estimator == TWO_TAP)
+    return float(1 - len(polynomials(estimator, 1.0)[0]))
 
 
-def coefficients(given: Any, period: float) -> tuple[float, ...]:
-    """What a kernel's gains hold of an estimator that is below 0 in :func:`taps`: b0 to bn, then a1 to an."""
-    if not taps(given) < 0.0:
+def coefficients(estimator: Any, period: float) -> tuple[float, ...]:
+    """Coefficients in a kernel's gains, b0 to bn, then a1 to an; none where :func:`taps` is not negative."""
+    if not taps(estimator) < 0.0:
         return ()
-    b, a = polynomials(given, period)
+    b, a = polynomials(estimator, period)
     return (*b, *a[1:])
 
 
 def states(order: float) -> int:
-    """Cells that a kernel's memory has for an estimator with those ``order`` of :func:`taps`."""
+    """Cells of a kernel's memory for an estimator of that ``order``, as :func:`taps` codes it."""
     return 1 - int(order) if order < 0.0 else 0
 
 
-def forgets(given: Any) -> float:
-    """Periods after which the estimate of a carriage that stopped is 0: inf where it only decays."""
-    b, a = polynomials(given, 1.0)
+def forgets(estimator: Any) -> float:
+    """Periods after which the estimate is 0 once the carriage stands still; inf where it only decays."""
+    b, a = polynomials(estimator, 1.0)
     return math.inf if any(a[1:]) else float(len(b))
 
 
-def in_words(given: Any, period: float) -> str:
+def in_words(estimator: Any, period: float) -> str:
     """The estimate as a line to paste.
 
     >>> in_words({"kind": "slope", "points": 4}, 1e-3)
@@ -214,28 +215,28 @@ def in_words(given: Any, period: float) -> str:
     >>> in_words({"kind": "filtered", "frequency": 50.0}, 1e-3)
     'v[k] = (0.1357552482 * q[k] - 0.1357552482 * q[k-2]) / 0.001 + 0.7284895037 * v[k-1]'
     """
-    one = estimator_of(given)
-    if isinstance(one, str):
-        two_tap = one == TWO_TAP
+    estimator = estimator_of(estimator)
+    if isinstance(estimator, str):
+        two_tap = estimator == TWO_TAP
         return f"v[k] = (q[k] - q[{'k-2' if two_tap else 'k-1'}]) / {2.0 * period if two_tap else period:.10g}"
-    b, a = polynomials(one, period)
+    b, a = polynomials(estimator, period)
     by_position, before = np.convolve(b, [1.0, -1.0]), -np.array(a[1:])
     sum_of_q = _sum(by_position, "q", 0)
     past = _sum(before, "v", 1)
     return f"v[k] = ({sum_of_q}) / {period:.10g}" + (f" + {past}" if past else "").replace("+ -", "- ")
 
 
-def estimator_in_words(given: Any) -> str:
+def estimator_in_words(estimator: Any) -> str:
     """The estimator in a few words.
 
     >>> estimator_in_words({"kind": "filtered", "frequency": 50.0}), estimator_in_words("two_tap")
     ('difference filtered at 50 Hz', 'two-tap')
     """
-    one = estimator_of(given)
-    if isinstance(one, str):
-        return one.replace("_", "-")
-    said = {"slope": "slope of {:.0f} points", "filtered": "difference filtered at {:.4g} Hz"}
-    return said.get(one.kind, "tracking loop of {:.4g} rad/s").format(one.number)
+    estimator = estimator_of(estimator)
+    if isinstance(estimator, str):
+        return estimator.replace("_", "-")
+    texts = {"slope": "slope of {:.0f} points", "filtered": "difference filtered at {:.4g} Hz"}
+    return texts.get(estimator.kind, "tracking loop of {:.4g} rad/s").format(estimator.number)
 
 
 def _sum(factors: np.ndarray, name: str, first: int) -> str:

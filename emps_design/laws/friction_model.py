@@ -24,7 +24,7 @@ class FrictionModel:
 
     @classmethod
     def of(cls, axis: Any) -> FrictionModel:
-        """Read X from an ``Axis``; what is proportional to speed joins the viscous friction, also the back-EMF.
+        """Read X from an ``Axis``; back-EMF and effects proportional to speed add to the viscous friction.
 
         Other effects are left out, see :func:`left_out`.
 
@@ -47,7 +47,7 @@ class FrictionModel:
 
     @property
     def directions(self) -> tuple[int, ...]:
-        """The directions of motion that have to be looked at: 1 and -1, or one of them where they are alike."""
+        """The directions of motion that differ: 1 and -1, or 1 alone where friction is alike in both."""
         return (1, -1) if self.two_quadrant else (1,)
 
     @property
@@ -92,5 +92,5 @@ class FrictionModel:
 
 
 def left_out(axis: Any) -> tuple[str, ...]:
-    """Kinds of the axis's effects that the friction model X of (5) cannot hold; say so wherever it is used."""
+    """Kinds of the effects of ``axis`` that X of (5) leaves out; name them wherever the model is used."""
     return tuple(entry.kind for entry in axis.effects if entry.effect.slopes is None)

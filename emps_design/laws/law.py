@@ -44,10 +44,10 @@ class FromRecord(Group):
     scale: Finite = Field(1.0, description="what the column is multiplied by", json_schema_extra={"unit": ""})
 
 
-NUMBER, RECORDED = "a number", "a column of the record"  # what a gain may be; with a blank, as no key of a table
+NUMBER, RECORDED = "a number", "a column of the record"  # tags of the union; with a blank, as no key of a table has
 Gain = Annotated[
     Annotated[Positive, Tag(NUMBER)] | Annotated[FromRecord, Tag(RECORDED)],
-    Discriminator(lambda given: RECORDED if isinstance(given, dict | FromRecord) else NUMBER),
+    Discriminator(lambda gain: RECORDED if isinstance(gain, dict | FromRecord) else NUMBER),
 ]
 
 
@@ -63,8 +63,8 @@ class Law:
 
     ``gains`` (g,), or (n, g) where a record gives them sample by sample. After ``cycle`` samples the law does the same
     again: 1, but for loops of different rates. For :mod:`.linear` the gains may be a list that holds arrays (m,), of m
-    laws, or symbols. With ``error_alone`` it is not told where it is but how far from the reference; what it then
-    keeps at ``integral`` of its memory waits while the limit acts on its sum with a feed-forward (None: nothing does).
+    laws, or symbols. With ``error_alone`` its position input is the position error, and the integral at place
+    ``integral`` of its memory is held while the limit acts on the sum of law and feed-forward (None: no integral).
     """
 
     kernel: Callable[..., float]
@@ -77,18 +77,18 @@ class Law:
     integral: int | None = None
 
     def on_error(self) -> Law:
-        """The law that is given the position error alone, ``q`` - reference [m], and a reference of 0.
+        """The law with the position error ``q`` - reference [m] as its position, and 0 as its reference.
 
-        A linear law answers to it what it would answer to both, less what it would answer on its own reference (the
-        braking of a velocity feedback, its own feed-forward): room for a feed-forward of the whole motion beside it.
-        One that follows a velocity takes the position of its reference in its place.
+        Of a linear law this leaves out the response to its own reference (the braking of a velocity feedback, its own
+        feed-forward), so that a feed-forward of the whole motion can be added. A law that follows a velocity takes the
+        position of its reference.
         """
         return replace(self, follows="position", state_feedback=False, error_alone=True)
 
     def commands(
         self, reference: np.ndarray, q: np.ndarray, limit: float, f_ext: np.ndarray | None = None
     ) -> np.ndarray:
-        """What the law gives (n,) for what it follows, the position and the sensed force (n,), from rest, in Python."""
+        """Command (n,) for reference, position and sensed force (n,) each, from rest; computed in Python."""
         rows, memory = self.gains.tolist(), [0.0] * self.memory
         sensed = [0.0] * q.size if f_ext is None else f_ext.tolist()
         if self.error_alone:
@@ -100,11 +100,11 @@ class Law:
         )
 
     def reference(self, q_ref: np.ndarray, period: float) -> np.ndarray:
-        """What the law follows (n,) [m or m/s] along the positions ``q_ref`` (n,) [m]: them, or their rate."""
+        """Reference of the law (n,) [m or m/s] for the positions ``q_ref`` (n,) [m]: those, or their rate."""
         return np.diff(q_ref, prepend=q_ref[:1]) / period if self.follows == "velocity" else q_ref
 
     def followed(self, record: Any) -> np.ndarray:
-        """What the law followed (n,) [m or m/s] in a :class:`~emps_design.records.Record`."""
+        """Reference of the law (n,) [m or m/s] in a :class:`~emps_design.records.Record`."""
         if self.follows == "velocity" and record.velocity_reference is not None:
             return record.velocity_reference
         return self.reference(record.q_ref, record.period)

@@ -142,27 +142,27 @@ class LinearLaw:
         return control.ss(self.A, self.B, self.C[None], self.D[None], period, **names)
 
     def used(self, moved: bool = False) -> np.ndarray:
-        """Which cells of the memory are in a loop (n,): an input drives them and the output hears, at once or later.
+        """Which cells of the memory take part in a loop (n,): an input drives them, and they drive the output.
 
-        A cell that nothing drives keeps what it has and would put its own pole into every loop. ``moved``: the cells
-        count from where the carriage is, so that its position drives those that remember one from the start too.
+        A cell that nothing drives keeps its number and would add its own pole to every loop. ``moved``: the cells count
+        from the position of the carriage, so that it also drives those that remember a position from the start.
         """
-        onward = _somewhere(self.A, 2)
-        driven, heard = _somewhere(self.B, 2).any(axis=1), _somewhere(self.C, 1)
+        onward = _any_nonzero(self.A, 2)
+        driven, observable = _any_nonzero(self.B, 2).any(axis=1), _any_nonzero(self.C, 1)
         if moved:
-            driven = driven | _somewhere(self.moved, 1)
-        for _ in heard:
-            driven, heard = driven | (onward @ driven), heard | (heard @ onward)
-        return driven & heard
+            driven = driven | _any_nonzero(self.moved, 1)
+        for _ in observable:
+            driven, observable = driven | (onward @ driven), observable | (observable @ onward)
+        return driven & observable
 
     @property
     def keeps_to_changes(self) -> bool:
-        """Whether the law asks for changes of position only: moved as a whole it would do the same."""
+        """Whether the law depends on changes of position only: a shift of all positions leaves the voltage as it is."""
         A, B, s = self.A, self.B[..., 1], self.moved
-        left = (A @ s[..., None])[..., 0] + B - s, np.sum(self.C * s, axis=-1) + self.D[..., 1]
+        change = (A @ s[..., None])[..., 0] + B - s, np.sum(self.C * s, axis=-1) + self.D[..., 1]
         size = np.abs(A) @ np.abs(s)[..., None], np.sum(np.abs(self.C * s), axis=-1) + np.abs(self.D[..., 1])
         small = (1e-14 * (size[0][..., 0] + np.abs(B) + np.abs(s)), 1e-14 * size[1])
-        return all(bool(np.all(np.abs(rest) <= bound)) for rest, bound in zip(left, small, strict=True))
+        return all(bool(np.all(np.abs(rest) <= bound)) for rest, bound in zip(change, small, strict=True))
 
 
 def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[int, str] | None = None) -> LinearLaw:
@@ -173,13 +173,13 @@ def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[in
 
     >>> from emps_design.laws import law_of
     >>> from emps_design.machines import machine
-    >>> found = linear_law(law_of(machine("emps2019"), 1e-3), 1e-3)
-    >>> found.D.round(1).tolist(), found.C.round(1).tolist(), found.keeps_to_changes
+    >>> linear = linear_law(law_of(machine("emps2019"), 1e-3), 1e-3)
+    >>> linear.D.round(1).tolist(), linear.C.round(1).tolist(), linear.keeps_to_changes
     ([38995.8, -160720.8, 0.0], [0.0, 121725.0], False)
     """
     memory = law.memory
     start: list[Any] = [0.0] * memory
-    law.kernel(0, 0.0, Linear(0.0, 0.0, {"q": 1.0}), 0.0, np.inf, _plain(law.gains), start)
+    law.kernel(0, 0.0, Linear(0.0, 0.0, {"q": 1.0}), 0.0, np.inf, _gain_list(law.gains), start)
     inputs = (*INPUTS, *(signals or {}).values())
     names = (*range(memory), *inputs)
     moved = _dense([_linear(cell) for cell in start], ("q",))[..., 0]
@@ -192,17 +192,17 @@ def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[in
 
 
 def own_poles(law: Law, period: float) -> np.ndarray:
-    """Poles (..., count) of what a law hears of its own voltage while the carriage sticks, without any plant.
+    """Poles (..., count) of the loop from a law's voltage back to it within the law, while the carriage sticks.
 
-    The memory cells in question are those that the voltage reaches and that reach the voltage; what it reaches is seen
-    by holding it at its limit. Filters that only pass the position on are not among them.
+    The loop has the memory cells that depend on the voltage and on which the voltage depends. Which depend on it shows
+    in a run with the voltage held at its limit. Filters of the position alone are not among them.
     """
     u, cells = run_linear(law, period, 0.0)
     _, limited = run_linear(law, period, 0.0, limit=-1.0)
     memory = law.memory
     A, held, C = _dense(cells, range(memory)), _dense(limited, range(memory)), _dense([u], range(memory))[..., 0, :]
-    onward = _somewhere(held, 2)
-    fed, feeds = _somewhere(A - held, 2).any(axis=1), _somewhere(C, 1)
+    onward = _any_nonzero(held, 2)
+    fed, feeds = _any_nonzero(A - held, 2).any(axis=1), _any_nonzero(C, 1)
     for _ in range(memory):
         fed, feeds = fed | (onward @ fed), feeds | (feeds @ onward)
     inside = np.flatnonzero(fed & feeds)
@@ -227,16 +227,16 @@ def run_linear(
 
 def _slide(law: Law, period: float, direction: float) -> Iterator[tuple[int, list[Any]]]:
     """The samples k of a slide, from the first of a cycle on by which the law is set up, and its memory before each."""
-    values, past = [_value(gain) for gain in _plain(law.gains)], [0.0] * law.memory
+    values, past = [_value(gain) for gain in _gain_list(law.gains)], [0.0] * law.memory
     first = -(-(law.memory + 4) // law.cycle) * law.cycle
     for k in itertools.count():
         if k >= first:
             yield k, list(past)
-        reference, position = _slid(law, period, direction, k)
+        reference, position = _slide_point(law, period, direction, k)
         law.kernel(k, reference, position, 0.0, np.inf, values, past)
 
 
-def _slid(law: Law, period: float, direction: float, k: int) -> tuple[float, float]:
+def _slide_point(law: Law, period: float, direction: float, k: int) -> tuple[float, float]:
     """Reference and position [m] at sample ``k`` of the slide."""
     position = k * direction * SPEED * period
     return (direction * SPEED if law.follows == "velocity" else position), position
@@ -252,8 +252,8 @@ def _run(
     limit: float = np.inf,
 ) -> tuple[Linear, list[Linear]]:
     """Output and next memory at sample ``k`` of the slide, before which the memory is ``past``."""
-    numbers = _plain(law.gains)
-    reference, at = _slid(law, period, direction, k)
+    numbers = _gain_list(law.gains)
+    reference, at = _slide_point(law, period, direction, k)
     for place, name in (signals or {}).items():
         numbers[place] = Linear(_value(numbers[place]), 0.0, {name: 1.0})
     cells: list[Any] = [Linear(value, 0.0, {place: 1.0}) for place, value in enumerate(past)]
@@ -262,13 +262,13 @@ def _run(
     return _linear(u), [_linear(cell) for cell in cells]
 
 
-def _plain(gains: Any) -> list[Any]:
-    """A list of its own, of Python floats where they are numbers alone."""
+def _gain_list(gains: Any) -> list[Any]:
+    """A new list of the ``gains``, Python floats where they are an array."""
     return gains.tolist() if isinstance(gains, np.ndarray) else list(gains)
 
 
-def _somewhere(matrix: np.ndarray, axes: int) -> np.ndarray:
-    """Where a matrix is not 0 in any of the laws of its leading axes."""
+def _any_nonzero(matrix: np.ndarray, axes: int) -> np.ndarray:
+    """Which entries of a ``matrix`` with that many ``axes`` are not 0 in any law of the leading axes."""
     return np.any(matrix != 0.0, axis=tuple(range(matrix.ndim - axes)))
 
 
@@ -279,10 +279,10 @@ def _linear(number: Any) -> Linear:
 def _dense(rows: list[Linear], names: Sequence[Any]) -> np.ndarray:
     """Slopes of the ``rows`` by the ``names``, shape (..., rows, names)."""
     shape = np.broadcast_shapes(*(np.shape(slope) for row in rows for slope in row.slopes.values()), ())
-    found = np.zeros((*shape, len(rows), len(names)))
+    matrix = np.zeros((*shape, len(rows), len(names)))
     places = {name: place for place, name in enumerate(names)}
     for i, row in enumerate(rows):
         for name, slope in row.slopes.items():
             if name in places:
-                found[..., i, places[name]] = slope
-    return found
+                matrix[..., i, places[name]] = slope
+    return matrix

@@ -1,7 +1,7 @@
 """Actuator lag: the force follows G_tau u with a first-order lag, time_constant df/dt + f = tau.
 
-A current loop of finite bandwidth; the same physics as ``drive.current_time_constant`` of the axis file, as something
-found in a record. The state is the force that acts; the extra force on the left-hand side is tau - f. The column
+A current loop of finite bandwidth; the same physics as ``drive.current_time_constant`` of the axis file, identified
+from a record. The state is the force that acts; the extra force on the left-hand side is tau - f. The column
 time_constant df/dt is exact, f being the force that the motion needs.
 """
 

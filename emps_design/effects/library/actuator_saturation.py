@@ -14,7 +14,7 @@ def actuator(u, p):
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    # A loop that meets the limit answers sharply to where it is: the valley is a few percent wide.
+    # The residual of a loop at its limit depends sharply on it: the minimum is a few percent wide.
     largest = float(np.abs(np.asarray(motion.voltage)).max())
     return [{"limit": float(limit)} for limit in largest * np.geomspace(0.98, 0.25, 40)]
 

@@ -3,7 +3,7 @@
 With k_e the voltage per speed and G_tau the force per volt at the winding, ``braking`` = G_tau k_e. While the motor is
 on that is viscous friction, and no record tells the two apart; where it was switched off (the column ``enable``) the
 braking is gone and the friction is not. An axis file may have k_e instead, ``back_emf`` of its ``[drive]``: then this
-effect is what the number there falls short of.
+effect adds to that number.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    return [{"braking": part * float(b[VISCOUS])} for part in PARTS]  # the residual has lost it to the friction
+    return [{"braking": part * float(b[VISCOUS])} for part in PARTS]  # part of the fitted friction
 
 
 def expression(q, v, t, tau, p, b):

@@ -27,7 +27,7 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     up = (residual - low) / (high - low) > 0.5 if high != low else np.zeros(residual.size, bool)
     steps = np.diff(up.astype(int))
     rises, falls = np.nonzero(steps == 1)[0] + 1, np.nonzero(steps == -1)[0] + 1
-    # The first samples of a record do not count and are handed in as zero: a wave that was high there seems to rise.
+    # The first samples of a record are set to zero: a wave that was high there seems to rise.
     if rises.size > 2 and abs(np.diff(rises)[0] - np.median(np.diff(rises))) > 2:
         rises = rises[1:]
     if rises.size == 0 or falls.size == 0:

@@ -2,7 +2,7 @@
 
 A hose, a cable chain, a balancing spring. The rest position trades against the baseline's constant force exactly, so
 from motion alone only the stiffness is known; the rest position is a choice, 0 unless a test without offset gives it.
-Friction that grows with the load feels the preload, and says it as its ``carried_force``.
+Load-dependent friction depends on the preload, which is its ``carried_force``.
 """
 
 import numpy as np

@@ -16,7 +16,7 @@ from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter,
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     angle, rate = 2 * pi * motion.q / shape["period"], 2 * pi / shape["period"]
     sine, cosine = harmonic.columns(angle).T
-    # d/dt sin = rate v cos, d2/dt2 sin = rate a cos - rate^2 v^2 sin, and the like for cos
+    # d/dt sin = rate v cos, d2/dt2 sin = rate a cos - rate^2 v^2 sin, likewise for cos
     speed, turn = rate * motion.v, rate * motion.a
     of_sine = b[MASS] * (turn * cosine - speed**2 * sine) + b[VISCOUS] * speed * cosine
     of_cosine = b[MASS] * (-turn * sine - speed**2 * cosine) - b[VISCOUS] * speed * sine

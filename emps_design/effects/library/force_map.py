@@ -1,7 +1,8 @@
 """Force map: a force that varies along the travel, the same in both directions, as a curve through few knots.
 
 Cable chains and hoses that bend, a counterweight, a screw that is not level, guides that pinch and push. The curve has
-seven equally spaced knots (:mod:`emps_design.effects.travel_map`); what a spring or one harmonic says as well is those.
+seven equally spaced knots (:mod:`emps_design.effects.travel_map`); a curve that a spring or one harmonic
+fits as well is left to those.
 """
 
 import numpy as np

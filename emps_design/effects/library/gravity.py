@@ -27,8 +27,8 @@ def to_linear(parameters: Parameters) -> np.ndarray:
 
 
 def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]:
-    found = harmonic.from_linear(coefficients, {})
-    return {"torque": found["amplitude"], "angle": found["phase"]}
+    wave = harmonic.from_linear(coefficients, {})
+    return {"torque": wave["amplitude"], "angle": wave["phase"]}
 
 
 def identified(parameters: Parameters) -> dict[str, float]:

@@ -7,8 +7,8 @@ otherwise. A constant force is first taken as an offset of the amplifier, which 
 spring. The motor's force reaches it less the share ``motor_side`` of viscous and Coulomb friction, that of motor and
 input stage: with a share of 1, a load that turns a motor without current loads the gear too.
 
-Whether the loss is a share of the force before the gear, as here, or of that behind it, no record of motor force and
-motion tells: in the latter case mass and forces of the load are 1 / (1 - mu^2) times what a fit gives.
+Whether the loss is a share of the force before the gear, as here, or of that behind it, a record of motor force and
+motion does not tell: in the latter case mass and forces of the load are 1 / (1 - mu^2) times what a fit gives.
 """
 
 import numpy as np

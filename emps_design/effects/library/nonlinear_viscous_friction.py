@@ -2,7 +2,7 @@
 
 Exponent 2 is drag that grows faster than speed (churning, air), or with a negative amount a curve that flattens at
 the top; exponent 1/2 a curve that rises steeply from rest and flattens (shear thinning of the grease). The viscous
-coefficient of the baseline holds the straight part. Below ``SMOOTH`` the power gives way to a straight line, so that
+coefficient of the baseline holds the straight part. Below ``SMOOTH`` the curve is a straight line, so that
 the slope at rest stays finite: force = amount (v/V) ((v^2 + SMOOTH^2)/V^2)^((exponent - 1)/2) with V = 0.1 m/s.
 """
 
@@ -18,7 +18,7 @@ SMOOTH = 1e-4  # m/s
 
 def force(q, v, t, tau, x, p, b):
     bend = sqrt(v * v + SMOOTH * SMOOTH) * (1.0 / SPEED)
-    if p[1] != 2.0:  # a power takes longer than all else here
+    if p[1] != 2.0:  # the power is the slowest operation here
         bend = bend ** (p[1] - 1.0)
     return p[0] * (1.0 / SPEED) * v * bend
 

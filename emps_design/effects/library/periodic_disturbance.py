@@ -24,8 +24,8 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
     waves = harmonic.waves()
-    found = search.periods(residual, motion.t, motion.v, motion.a, away, waves, shortest=0.025, count=6)
-    return [{"frequency": 1.0 / period} for period in found]
+    seconds = search.periods(residual, motion.t, motion.v, motion.a, away, waves, shortest=0.025, count=6)
+    return [{"frequency": 1.0 / period} for period in seconds]
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:

@@ -2,8 +2,8 @@
 
 F = stiffness z, dz/dt = v - |v| stiffness z / L, with L the Coulomb level of the moment: a spring at small travel,
 Coulomb friction L sign(v) after about 3 L / stiffness of travel. It stands in for the set-valued friction, so the
-carriage has no true stick; a level that other effects drive to zero wipes the memory out over ``FORGET``. A contact
-that would bend by less than ``FINEST`` bends over that: no encoder sees it, and a simulation would take for ever.
+carriage has no true stick; a level that other effects drive to zero erases the memory over ``FORGET``. A contact
+that would bend by less than ``FINEST`` bends over that: no encoder resolves it, and a simulation would take very long.
 """
 
 from emps_design.effects.effect import Effect, Parameter
@@ -11,7 +11,7 @@ from emps_design.quantities import Quantity
 
 FORGET = 1e-4  # m
 FINEST = 1e-6  # m
-SETTLED = 1e-9  # of the whole bend: what is missing of it counts no more, and while it slides the steps may be long
+SETTLED = 1e-9  # of the whole bend: closer to it the contact counts as sliding, and steps may be long
 
 
 def force(q, v, t, tau, x, p, b):

@@ -13,7 +13,7 @@ from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
 
 def dry(q, v, t, tau, x, p, b):
     ratio = abs(v) / p[1]
-    if p[2] != 1.0:  # a power takes longer than all else here
+    if p[2] != 1.0:  # the power is the slowest operation here
         ratio = ratio ** p[2]
     return p[0] * exp(-ratio)
 

@@ -166,21 +166,21 @@ class Table(LawTable):
         return self
 
 
-def coefficients(one, period):
+def coefficients(stage, period):
     """Coefficients b0, b1, b2, a1, a2 of a filter at a sampling ``period`` [s], by the bilinear transform.
 
     >>> [round(value, 4) for value in coefficients(Filter(kind="lowpass", frequency=350.0), 0.25e-3)]
     [0.2156, 0.2156, 0.0, -0.5688, 0.0]
     """
-    c = math.pi * one.frequency * period  # w0 T / 2
-    if one.kind == "lowpass":
+    c = math.pi * stage.frequency * period  # w0 T / 2
+    if stage.kind == "lowpass":
         return c / (1.0 + c), c / (1.0 + c), 0.0, (c - 1.0) / (1.0 + c), 0.0
-    if one.frequency * period >= 0.5:
+    if stage.frequency * period >= 0.5:
         raise InputError(
-            f"filters: found a notch at {one.frequency:g} Hz, expected one below the Nyquist frequency, "
+            f"filters: found a notch at {stage.frequency:g} Hz, expected one below the Nyquist frequency, "
             f"{0.5 / period:g} Hz"
         )
-    wide, deep = 2.0 * one.damping * c, 2.0 * one.depth * one.damping * c
+    wide, deep = 2.0 * stage.damping * c, 2.0 * stage.depth * stage.damping * c
     first, whole = 2.0 * (c * c - 1.0), 1.0 + wide + c * c
     return (
         (1.0 + deep + c * c) / whole, first / whole, (1.0 - deep + c * c) / whole, first / whole,
@@ -188,15 +188,15 @@ def coefficients(one, period):
     )  # fmt: skip
 
 
-def filter_polynomials(one, period):
+def filter_polynomials(stage, period):
     """Numerator and denominator in z, highest power first, of a filter at a sampling ``period`` [s].
 
     >>> numerator, denominator = filter_polynomials(Filter(kind="lowpass", frequency=350.0), 0.25e-3)
     >>> [round(value, 4) for value in numerator], [round(value, 4) for value in denominator]
     ([0.2156, 0.2156], [1.0, -0.5688])
     """
-    b0, b1, b2, a1, a2 = coefficients(one, period)
-    return ([b0, b1], [1.0, a1]) if one.kind == "lowpass" else ([b0, b1, b2], [1.0, a1, a2])
+    b0, b1, b2, a1, a2 = coefficients(stage, period)
+    return ([b0, b1], [1.0, a1]) if stage.kind == "lowpass" else ([b0, b1, b2], [1.0, a1, a2])
 
 
 def gains(p, axis, period):
@@ -207,15 +207,15 @@ def gains(p, axis, period):
         p.velocity.kp, integral, float(p.velocity.form == "ip"),
         ahead.velocity if p.position else 1.0, ahead.acceleration, ahead.coulomb,
         float(ahead.source == "profile"), float(p.position is None), float(p.anti_windup == "hold"), len(p.filters),
-        *(number for one in p.filters for number in coefficients(one, period)),
+        *(number for stage in p.filters for number in coefficients(stage, period)),
         *of_estimator(p.velocity_estimator, period),
     )  # fmt: skip
 
 
 def _terms(*terms):
     """A sum in words of the ``terms``, pairs of a factor and what it multiplies, without those whose factor is 0."""
-    said = [f"{factor:.10g} * {what}" if factor != 1.0 else what for factor, what in terms if factor != 0.0]
-    return " + ".join(said).replace("+ -", "- ")
+    texts = [f"{factor:.10g} * {what}" if factor != 1.0 else what for factor, what in terms if factor != 0.0]
+    return " + ".join(texts).replace("+ -", "- ")
 
 
 def equations(p, axis, period):
@@ -235,16 +235,16 @@ def equations(p, axis, period):
         lines.append(f"{every}vc[k] = {g[POSITION]:.10g} * (q_ref[k] - q[k])")
         lines += ["else: vc[k] = vc[k-1]"] if every else []
         wanted = "vc[k]"
-    given = [(1.0, wanted)] if wanted != "0" else []
-    lines.append(f"e[k] = {_terms(*given, (g[SHARE], 'vr[k]'))} - v[k]")
+    command_term = [(1.0, wanted)] if wanted != "0" else []
+    lines.append(f"e[k] = {_terms(*command_term, (g[SHARE], 'vr[k]'))} - v[k]")
     if p.velocity.ti:
         lines.append(f"j[k] = i[k-1] + {g[INTEGRAL]:.10g} * e[k]")
     own = (-g[PROPORTIONAL], "v[k]") if g[IP] else (g[PROPORTIONAL], "e[k]")
     integral = [(1.0, "j[k]")] if p.velocity.ti else []
     ahead = (g[ACCELERATION], "ar[k]"), (g[COULOMB], f"sign({direction})")
     lines.append(f"w0[k] = {_terms(own, *integral, *ahead)}")
-    for i, one in enumerate(p.filters):
-        b0, b1, b2, a1, a2 = coefficients(one, period)
+    for i, stage in enumerate(p.filters):
+        b0, b1, b2, a1, a2 = coefficients(stage, period)
         terms = (b0, f"w{i}[k]"), (b1, f"w{i}[k-1]"), (b2, f"w{i}[k-2]")
         lines.append(f"w{i + 1}[k] = {_terms(*terms, (-a1, f'w{i + 1}[k-1]'), (-a2, f'w{i + 1}[k-2]'))}")
     last = f"w{len(p.filters)}[k]"

@@ -9,7 +9,7 @@ answered by (28), K and q_0 kept as in (27) derived:
 ``a_f`` and ``tau_f`` are acceleration and motor force behind first-order low-passes; ``kappa`` 1 is (30) derived, 2 as
 printed, which with a reference velocity v_0 also has Fh_v (v - v_0) of (27) as printed. q_0 moves with v_0. The motor
 force is not wired to the controller: the law takes it from the current loop's own model,
-``tau[k+1] = e tau[k] + (1 - e) G_tau u[k]`` with ``e = exp(-T/T_c)``, exact while the drive does what it is told. What
+``tau[k+1] = e tau[k] + (1 - e) G_tau u[k]`` with ``e = exp(-T/T_c)``, exact while the drive applies the command. What
 the axis follows is q_0, of use only with a stiffness. Source: section IV of the paper, (24) to (30), after Hogan.
 """
 
