@@ -1,4 +1,4 @@
-"""The paper of 2018: what it prints, the derivations, where they differ, and its section III on a virtual bench."""
+"""The paper of 2018: its printed equations, their derivations, the errata, and section III on a virtual bench."""
 
 import lazy_loader
 

@@ -1,8 +1,7 @@
-"""Where the paper differs from what follows: every step that is not as printed, and what no equation says.
+"""Errata of the paper: every step of the derivations that is not as printed, and the errors outside equations.
 
-Where each numbered equation of the paper stands in the package.
-
-The derivations as a LaTeX document that compiles by itself: article, amsmath, nothing else.
+``PLACES`` gives for each numbered equation where the package has it; :func:`document` writes the derivations as a LaTeX
+document that compiles by itself: article, amsmath, nothing else.
 """
 
 from __future__ import annotations
@@ -51,18 +50,18 @@ _IN_WORDS = (
 
 
 def find_errata() -> tuple[Erratum, ...]:
-    """Return what differs, in the order of the paper.
+    """Return the errata, in the order of the paper.
 
-    >>> [one.place for one in find_errata()]  # doctest: +NORMALIZE_WHITESPACE
+    >>> [erratum.place for erratum in find_errata()]  # doctest: +NORMALIZE_WHITESPACE
     ['(1)', 'Break-away force of section III-A', '(8)', '(9)', '(10)', '(13)', '(15)', '(16)', '(18)', '(26)', '(27)',
      '(30)', 'Table II']
     """
-    found = [_of(step) for _, steps in derivation().values() for step in steps if step.agrees is False]
-    return (*found, *_IN_WORDS)
+    errata = [_erratum(step) for _, steps in derivation().values() for step in steps if step.agrees is False]
+    return (*errata, *_IN_WORDS)
 
 
-def _of(step: DerivationStep) -> Erratum:
-    # Where nothing differs but a symbol, that is what there is to say.
+def _erratum(step: DerivationStep) -> Erratum:
+    # Where only a symbol differs, the verdict says so.
     words = step.text if step.difference != 0 else f"{step.verdict[0].upper()}{step.verdict[1:]}."
     return Erratum(step.place, step.title, latex(step.printed), latex(step.equation), words, step)
 

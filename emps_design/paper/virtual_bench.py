@@ -3,12 +3,9 @@
 The records of the 2018 paper are not public. This machine has the two-quadrant friction of its Table I, and, chosen
 so that tables and errors come out as printed, what such a machine has besides: friction that bends, break-away,
 friction that depends on position and drifts between experiments, noise of the friction, an encoder, and a force sensor
-with a gripper in front of it. ``bench_numbers.py`` says of every number whether it is the paper's or chosen, and why;
-``benchmarks/table_2.py`` shows by a sweep which of them make Table II.
-
-The numbers of the virtual bench: value, unit, whether the paper gives it, and the reason where it is chosen.
-
-Section III of the paper on the virtual bench: Tables I and II, the errors, and the curves of Figs. 3 to 10.
+with a gripper in front of it. ``NUMBERS`` has every number with its unit, whether it is the paper's or chosen, and why;
+``benchmarks/table_2.py`` shows by a sweep which of them make Table II. :func:`reproduce_section_3` evaluates the bench
+as section III does: Tables I and II, the errors, and the curves of Figs. 3 to 10.
 """
 
 from __future__ import annotations
@@ -39,7 +36,7 @@ PAPER, CHOSEN = "paper", "chosen"
 
 MODEL = "asymmetric"
 
-# To stand beside what the bench gives: never used in a computation.
+# For comparison with the bench's results: never used in a computation.
 PRINTED = {**TABLES, **RANGES, "break_away": BREAK_AWAY}
 
 
@@ -169,14 +166,14 @@ _NOISE = Effect(
 
 
 def bent_friction(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.ndarray, b: np.ndarray) -> float:
-    """Kernel: ``p[0]`` or ``p[1]`` [N] at 0.1 m/s forth and back, to the power ``p[2]`` of the speed; odd near rest."""
+    """Kernel: ``p[0]`` or ``p[1]`` [N] at 0.1 m/s to + or -, to the power ``p[2]`` of the speed; odd near rest."""
     amount = p[0] if v > 0.0 else p[1]
     return amount * (v / 0.1) * ((v * v + 1e-8) / 0.01) ** (0.5 * (p[2] - 1.0))
 
 
-def bend_of(velocity: np.ndarray, given: Mapping[str, float] | None = None) -> np.ndarray:
+def bend_of(velocity: np.ndarray, bench_numbers: Mapping[str, float] | None = None) -> np.ndarray:
     """Force of the bend [N] at velocities (n,) [m/s]."""
-    n = numbers() if given is None else given
+    n = numbers() if bench_numbers is None else bench_numbers
     p, none = np.array([n["bend_positive"], n["bend_negative"], n["bend_exponent"]]), np.zeros(0)
     return np.array([bent_friction(0.0, v, 0.0, 0.0, none, p, none) for v in velocity])
 
@@ -198,12 +195,12 @@ _BEND = Effect(
 )
 
 
-def bench_axis(given: Mapping[str, float] | None = None) -> Axis:
-    """Table I with both quadrants less what bends, break-away, position dependence and ripple; controller of 2019.
+def bench_axis(bench_numbers: Mapping[str, float] | None = None) -> Axis:
+    """Axis of Table I, both quadrants, with break-away, position dependence and ripple; controller of 2019.
 
-    The bend itself is no effect of the package: the experiments add it.
+    Its viscous and Coulomb friction are reduced by the share of the bent friction, which the experiments add.
     """
-    n = numbers() if given is None else given
+    n = numbers() if bench_numbers is None else bench_numbers
     axis = machine("emps2018-two-quadrant")
     half = {
         name: ((n[f"{name}_less_positive"] + n[f"{name}_less_negative"]) / 2,
@@ -251,18 +248,18 @@ class Bench:
 
 def virtual_bench(
     seed: int = 0,
-    given: Mapping[str, float] | None = None,
+    bench_numbers: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> Bench:
     """Run the twenty experiments and the break-away test of ``seed``; the same seed gives the same bytes.
 
-    ``given`` are the numbers of the bench, :func:`numbers` by default. Friction walks slowly from experiment to
-    experiment; the co-manipulation ones come after the identification ones, in a small part of the stroke.
+    ``bench_numbers`` are the numbers of the bench, :func:`numbers` by default. Friction drifts slowly from one
+    experiment to the next; the co-manipulation ones come after the identification ones, in a small part of the stroke.
     """
-    n = numbers() if given is None else given
+    n = numbers() if bench_numbers is None else bench_numbers
     rng = np.random.default_rng(seed)
     count = int(n["experiments"])
-    # A mean-reverting walk: neighbouring experiments resemble one another.
+    # First-order autoregressive: neighbouring experiments resemble one another.
     levels, level = [], 0.0
     for _ in range(2 * count):
         level = 0.7 * level + np.sqrt(1.0 - 0.7**2) * n["drift"] * rng.standard_normal()
@@ -306,7 +303,7 @@ def comanipulation_experiment(n: Mapping[str, float], rng: np.random.Generator, 
     still = np.zeros(len(force))
     reference = np.full(len(force), n["k_e1"] * n["tau_ref"])
     run = plant.closed_loop(still, disturbance=force, reference=reference, q0=n["workspace"], **options)
-    sensor = _sensed(n, force, run.v, period) + n["sensor_noise"] * rng.standard_normal(len(force))
+    sensor = _sensor_reading(n, force, run.v, period) + n["sensor_noise"] * rng.standard_normal(len(force))
     return Record(t=run.t, q_ref=still, q=run.q, u=run.u, f_ext=sensor, period=period, name=name)
 
 
@@ -319,8 +316,8 @@ def identification_trajectory(n: Mapping[str, float], period: float) -> np.ndarr
         share = shares[(len(pieces) // 2) % len(shares)]
         ramp = int(n["ramp"] / period)
         up = np.linspace(0.0, share * n["speed"], ramp)
-        one = np.concatenate([up, np.full(2 * ramp, up[-1]), up[::-1]])
-        pieces += [one, -one]
+        trapezoid = np.concatenate([up, np.full(2 * ramp, up[-1]), up[::-1]])
+        pieces += [trapezoid, -trapezoid]
     bell = np.hanning(int(0.03 / period))
     velocity = np.convolve(np.concatenate(pieces)[:samples], bell / bell.sum(), "same")
     return np.cumsum(velocity) * period
@@ -368,13 +365,13 @@ def _machine(
     # The size of the noise differs from one experiment to the next, like the lubrication.
     size = n["friction_noise"] * rng.uniform(1.0 - n["friction_noise_spread"], 1.0 + n["friction_noise_spread"])
     noise = _low_passed(size * np.sqrt(1.0 - decay**2) * rng.standard_normal(samples), 1.0, decay)
-    # The encoder's zero is another one at every start: so is the phase of what repeats with its turns.
+    # The encoder's zero differs at every start: so is the phase of every ripple.
     turned = []
-    for one in axis.effects:
-        p = dict(one.parameters)
+    for entry in axis.effects:
+        p = dict(entry.parameters)
         if {"period", "phase"} <= set(p):
             p["phase"] = float(rng.uniform(-np.pi, np.pi))
-        turned.append((get_effect(one.kind), get_effect(one.kind).values(p)))
+        turned.append((get_effect(entry.kind), get_effect(entry.kind).values(p)))
     bend = np.array([scale * n["bend_positive"], scale * n["bend_negative"], n["bend_exponent"]])
     held = np.concatenate([[1.0 / period, n["friction_noise_speed"]], noise, noise[-1:], noise[-1:]])
     baseline = axis.mechanics.array() * np.array([1.0, scale, scale, 1.0])
@@ -382,13 +379,13 @@ def _machine(
     return Plant(axis, [*turned, (_BEND, bend), (_NOISE, held)]), options
 
 
-def _sensed(n: Mapping[str, float], force: np.ndarray, v: np.ndarray, period: float) -> np.ndarray:
-    """What the sensor between gripper and carriage makes of the operator's force, without its noise."""
-    seen = force - n["mass_beyond_sensor"] * np.gradient(v, period)
+def _sensor_reading(n: Mapping[str, float], force: np.ndarray, v: np.ndarray, period: float) -> np.ndarray:
+    """Reading (n,) [N] of the sensor between gripper and carriage for the operator's ``force``, without noise."""
+    reading = force - n["mass_beyond_sensor"] * np.gradient(v, period)
     if n["sensor_lag"] > 0.0:
         decay = np.exp(-period / n["sensor_lag"])
-        seen = seen[0] + _low_passed(seen - seen[0], 1.0 - decay, decay)
-    return (1.0 + n["sensor_gain_error"]) * seen + n["sensor_offset"]
+        reading = reading[0] + _low_passed(reading - reading[0], 1.0 - decay, decay)
+    return (1.0 + n["sensor_gain_error"]) * reading + n["sensor_offset"]
 
 
 def _low_passed(signal: np.ndarray, gain: float, decay: float) -> np.ndarray:
@@ -425,7 +422,7 @@ class SectionThree:
     def observed(self, index: int = 0) -> dict[str, np.ndarray]:
         """Curves of Figs. 8 to 10 for co-manipulation experiment ``index``: t [s] and forces [N]."""
         record = self.bench.comanipulation[index]
-        filtered, W, motor, sensor = _prepared(record, self.bench)
+        filtered, W, motor, sensor = _filtered_regression(record, self.bench)
         mean = self.identification.values.mean(axis=0)
         own = self.direct[index].values()
         return {
@@ -460,21 +457,21 @@ class SectionThree:
 
 def reproduce_section_3(
     seed: int = 0,
-    given: Mapping[str, float] | None = None,
+    bench_numbers: Mapping[str, float] | None = None,
     progress: Progress | None = None,
 ) -> SectionThree:
     """Run the virtual bench of ``seed`` and evaluate it with the paper's chain of filters.
 
-    ``given`` are the numbers of the bench, :func:`emps_design.paper.virtual_bench.numbers` by default.
+    ``bench_numbers`` are the numbers of the bench, :func:`emps_design.paper.virtual_bench.numbers` by default.
     """
-    bench = virtual_bench(seed, given, progress)
-    # The paper knows nothing of the machine but G_tau, and takes the current loop for a gain.
+    bench = virtual_bench(seed, bench_numbers, progress)
+    # The paper uses G_tau alone, and the current loop is a gain.
     plain = bench.axis.replace(effects=[], drive={"current_time_constant": 0.0})
     several = identify_several(bench.identification, plain, model=MODEL, filter="paper")
     mean = several.values.mean(axis=0)
     cross, direct = [], []
     for record in bench.comanipulation:
-        _, W, motor, sensor = _prepared(record, bench)
+        _, W, motor, sensor = _filtered_regression(record, bench)
         cross.append(float(np.sqrt(np.mean((W @ mean - motor - sensor) ** 2))))
         direct.append(direct_validation(record, plain, model=MODEL, filter="paper"))
     return SectionThree(
@@ -483,18 +480,22 @@ def reproduce_section_3(
         direct=tuple(direct),
         rms_1=np.diag(several.cross_validation).copy(),
         rms_2=np.array(cross),
-        rms_direct=np.array([one.rms_error for one in direct]),
+        rms_direct=np.array([validation.rms_error for validation in direct]),
     )
 
 
-def _prepared(record: Record, bench: Bench) -> tuple[Filtered, np.ndarray, np.ndarray, Any]:
+def _filtered_regression(record: Record, bench: Bench) -> tuple[Filtered, np.ndarray, np.ndarray, Any]:
+    """The filtered record, its regressor (m, 5), motor force (m,) and sensor force (m,) [N]."""
     filtered = paper_chain(record, bench.axis.drive.force_gain)
     W, _ = regression(filtered, MODEL)
     return filtered, W, filtered.force, filtered.f_ext
 
 
-def _table(found: Identification) -> dict[str, tuple[float, float, float]]:
-    return {name: _row(estimate.quantity, estimate.value, estimate.std) for name, estimate in found.parameters.items()}
+def _table(identification: Identification) -> dict[str, tuple[float, float, float]]:
+    return {
+        name: _row(estimate.quantity, estimate.value, estimate.std)
+        for name, estimate in identification.parameters.items()
+    }
 
 
 def _row(quantity: Quantity, value: float | None, std: float | None) -> tuple[float, float, float]:

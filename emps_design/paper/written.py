@@ -1,13 +1,10 @@
 """Equations in the order and with the signs in which the paper writes them, as LaTeX and as plain text.
 
 SymPy orders the terms of a sum its own way. A :class:`Sum` keeps the order that it was given; everything else is
-printed by SymPy.
+printed by SymPy. The paper's symbols have the names of the code here, and LaTeX as the paper writes it as SymPy name.
 
-The paper's symbols for SymPy, by the names of the code; their own names are LaTeX as the paper writes them.
-
-What the paper prints: every numbered equation, Tables I and II, the ranges of the errors. Nothing else is typed in.
-
-In the paper's order and signs, misprints included; the derivations compare with this and nothing computes with it.
+Typed in from the paper: every numbered equation, Tables I and II, the ranges of the errors; in its order and signs,
+misprints included. The derivations compare with this and nothing computes with it.
 The text at hand was read from a scan, so a symbol may be the reader's mistake rather than the paper's.
 """
 
@@ -118,23 +115,23 @@ def in_order(expression: sp.Expr, signals: tuple[sp.Expr, ...], ratio: tuple[sp.
     '(a/b - 1) x - y'
     """
     places = {signal: sp.Dummy() for signal in signals}
-    given = expression
+    original = expression
     for signal, place in places.items():
         if signal.is_Add:
             (minus,) = [term for term in signal.args if term.could_extract_minus_sign()]
             expression = expression.subs(-minus, signal - minus - place)
     expanded = sp.expand(expression).subs({signal: place for signal, place in places.items() if signal.is_Symbol})
-    found = Sum(
+    ordered = Sum(
         tuple(
             (*_factors(expanded.coeff(place), ratio), _bracket(signal) if signal.is_Add else signal)
             for signal, place in places.items()
             if expanded.coeff(place) != 0
         )
     )
-    left = sp.expand(found.expression - given)
-    if left != 0 and sp.simplify(left) != 0:
-        raise ValueError(f"not linear in {signals}: {given}")
-    return found
+    difference = sp.expand(ordered.expression - original)
+    if difference != 0 and sp.simplify(difference) != 0:
+        raise ValueError(f"not linear in {signals}: {original}")
+    return ordered
 
 
 def _bracket(difference: sp.Expr) -> Sum:
@@ -336,7 +333,7 @@ EQUATIONS: dict[str, tuple[Equation, ...]] = {
     ),
 }  # fmt: skip
 
-# Symbols that the print has where nothing else fits than another one.
+# Symbols of the print that can only be misprints, with those that fit.
 READ_AS: dict[str, dict[sp.Symbol, sp.Symbol]] = {
     "8": {K_c: K_v},
     "9": {K_: K_v},

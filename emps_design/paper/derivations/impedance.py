@@ -91,7 +91,9 @@ def _law_steps(model: sp.Eq, target: sp.Eq, derived: dict[str, Sum]) -> list[Der
     # The law put back into the model must leave the target, and the observer must give the force of the model.
     felt = sp.solve(model.subs(y.tau_m, derived["27"].expression), y.tau_e)[0]
     closes = sp.simplify(felt - target.rhs) == 0
-    seen = sp.simplify(derived["29"].expression.subs(y.current, y.tau_m / y.G_ti) - sp.solve(model, y.tau_e)[0]) == 0
+    same_force = (
+        sp.simplify(derived["29"].expression.subs(y.current, y.tau_m / y.G_ti) - sp.solve(model, y.tau_e)[0]) == 0
+    )
     sum_of_two = derived["28"].expression.subs(y.tau_e, derived["29"].expression)
     return [
         compared("Model the law is built on", "24", Equation(Sum(((y.tau_m,), (y.tau_e,))), of_model),
@@ -107,7 +109,7 @@ def _law_steps(model: sp.Eq, target: sp.Eq, derived: dict[str, Sum]) -> list[Der
                  (ONE_QUADRANT, BELIEVED, AT_REST)),
         compared("Observer of the external force", "29", Equation(y.tau_eh, derived["29"]),
                  "(24) solved for the external force, with the motor force read from the current.",
-                 (ONE_QUADRANT, BELIEVED, IDEAL), (("it is the tau_e of (24)", seen),)),
+                 (ONE_QUADRANT, BELIEVED, IDEAL), (("it is the tau_e of (24)", same_force),)),
         compared("The law without a force sensor", "30", Equation(y.tau_m, derived["30"]),
                  "(29) put into (28). As printed the current's term carries a factor 2 that does not follow, and F_v "
                  "and F_c have lost their hats.", (ONE_QUADRANT, BELIEVED, AT_REST, IDEAL),
@@ -133,9 +135,9 @@ def _closed_steps(law: sp.Expr) -> list[DerivationStep]:
         target = (y.M_a, y.B, sp.Integer(0))
         checks = (("it is M_a, B and no friction", coefficients == target),) if words == "Exactly the target." else ()
         steps.append(DerivationStep(title, "", Equation(y.tau_e, shown), words, rests, checks))
-    left = felt_under(law)
+    impedance = felt_under(law)
     v = sp.Symbol("v", positive=True)
-    creep = sp.solve(sp.Eq(0, left["apparent_damping"] * v + left["coulomb_left"]), v)[0]
+    creep = sp.solve(sp.Eq(0, impedance["apparent_damping"] * v + impedance["coulomb_left"]), v)[0]
     error = sp.Symbol("epsilon", positive=True)
     over = sp.factor(creep.subs({y.F_vh: (1 + error) * y.F_v, y.F_ch: (1 + error) * y.F_c}))
     return [

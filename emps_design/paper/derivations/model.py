@@ -1,8 +1,7 @@
 """(1) to (5) and (12) to (23): drive and carriage, the model linear in its parameters, and its least squares.
 
-(1) to (5): drive and carriage from Newton's law, and the model linear in its parameters.
-
-(12) to (23): least squares for any number of samples and parameters, its statistics, and the observed force.
+(1) to (5): drive and carriage from Newton's law, and the model linear in its parameters. (12) to (23): least squares
+for any number of samples and parameters, its statistics, and the observed force.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ def _carriage() -> list[DerivationStep]:
     total = sp.expand(solved + y.tau_m)
     equivalent = total.coeff(y.qdd)
     derived = Sum(((y.M, y.qdd), (total.coeff(y.qd), y.qd), (total.coeff(y.S), y.S)))
-    left = sp.simplify(total.subs(J, (y.M - m) / y.r**2) - derived.expression)
+    difference = sp.simplify(total.subs(J, (y.M - m) / y.r**2) - derived.expression)
     return [
         DerivationStep(
             "Rotor and screw", "", Equation(J * qdd_m, Sum(((T,), (-1, T_s)))),
@@ -89,7 +88,7 @@ def _carriage() -> list[DerivationStep]:
             "Inverse dynamic model", "2", Equation(Sum(((y.tau_m,), (y.tau_e,))), derived),
             "Newton's law for rotor and carriage, the force inside the screw solved away.",
             (RIGID, LOSSLESS, LINE, "no gravity along the axis"),
-            (("nothing but mass and friction is left", left == 0),),
+            (("nothing but mass and friction is left", difference == 0),),
         ),
     ]  # fmt: skip
 
@@ -103,7 +102,7 @@ def _friction() -> list[DerivationStep]:
     far = sp.limit(moving.subs(y.delta_s, 1) - (y.F_v * v + y.F_c), v, sp.oo)
     below = TABLES["table_1"]["coulomb_positive"][0] > BREAK_AWAY
     printed = Equation(y.F_s, sp.Float(BREAK_AWAY, 2))
-    found = sp.Float(TABLES["table_1"]["coulomb_positive"][0], 6)
+    identified = sp.Float(TABLES["table_1"]["coulomb_positive"][0], 6)
     return [
         compared(
             "Friction", "3", Equation(sp.Symbol("F_{fc}"), Sum(((steady.coeff(y.qd), y.qd), (steady.coeff(y.S), y.S)))),
@@ -115,9 +114,9 @@ def _friction() -> list[DerivationStep]:
             (("F_fs tends to F_s at rest", at_rest == y.F_s), ("F_fs - F_fc tends to 0 at high speed", far == 0)),
         ),
         DerivationStep(
-            "Break-away force of section III-A", "", Equation(sp.Symbol(r"F_c^+"), found),
+            "Break-away force of section III-A", "", Equation(sp.Symbol(r"F_c^+"), identified),
             "Section II-B has F_s > F_c; the F_s of section III-A is below the F_c+ of Table I.", ("Table I",),
-            printed=Equation(y.F_s, printed.right), difference=printed.right - found if below else sp.Integer(0),
+            printed=Equation(y.F_s, printed.right), difference=printed.right - identified if below else sp.Integer(0),
         ),
     ]  # fmt: skip
 
@@ -192,9 +191,9 @@ def _variance() -> DerivationStep:
     """(14): E ||e||^2 = sigma^2 tr((I - H)^T (I - H)) = sigma^2 (n - p)."""
     W, A, identity = y.W_1, estimator(), sp.Identity(y.n)
     H = W * A
-    left = identity - H
+    residual_maker = identity - H
     once = sp.MatMul(*H.args, *H.args).doit() == H and H.T.doit() == H
-    blind = (left * W).expand().doit() == sp.ZeroMatrix(y.n, y.p)
+    blind = (residual_maker * W).expand().doit() == sp.ZeroMatrix(y.n, y.p)
     # The trace of a product is that of its factors in a circle: tr(W A) = tr(A W).
     rank = sp.Trace(A * W).doit()
     degrees = sp.Trace(identity).doit() - rank
@@ -274,8 +273,8 @@ def relative_deviation_step() -> DerivationStep:
             checks.append((f"{where}, {name.replace('_', ' ')}: twice (16){how}", rounded or either))
             checks.append((f"{where}, {name.replace('_', ' ')}: not (16) itself", not low <= 1.0 <= high))
     factor = sp.Integer(round(sum(factors) / len(factors)))
-    left = sp.Symbol(r"\%\sigma")
-    derived = Equation(left, factor * 100 * y.sigma_x / sp.Abs(y.x))
+    percent_sigma = sp.Symbol(r"\%\sigma")
+    derived = Equation(percent_sigma, factor * 100 * y.sigma_x / sp.Abs(y.x))
     return compared(
         "Relative standard deviation in Tables I and II", "16", derived,
         "The column holds two standard deviations over the value, (16) says one; within the digits, in every row.",
@@ -287,15 +286,15 @@ def _observation() -> list[DerivationStep]:
     """(18) to (23) from (5); order counts in W X, so these are solved by hand and the program puts them back."""
     balance = "(5) on the second experiments"
 
-    def solved(left: sp.Symbol, W: sp.Symbol, X: sp.Symbol, motor: sp.Symbol) -> tuple[Equation, tuple[str, bool]]:
+    def solved(unknown: sp.Symbol, W: sp.Symbol, X: sp.Symbol, motor: sp.Symbol) -> tuple[Equation, tuple[str, bool]]:
         force = Sum(((W, X), (-1, motor)))
-        return Equation(left, force), ("put back into (5)", sp.expand(motor + force.expression - W * X) == 0)
+        return Equation(unknown, force), ("put back into (5)", sp.expand(motor + force.expression - W * X) == 0)
 
     observed, back = solved(y.tau_e2, y.W_2, y.X_2, y.tau_m2)
     cross, cross_back = solved(y.tau_e2h, y.W_2, y.X_1m, y.tau_m2)
     own, own_back = solved(y.tau_evh, y.W, y.X_hat, y.tau_mv)
     error = sp.expand(y.Y - y.W * y.X_hat)
-    seen = sp.expand((y.Y - y.tau_mv) - own.rhs)
+    observer_error = sp.expand((y.Y - y.tau_mv) - own.rhs)
     return [
         compared(
             "External force from the model", "18", observed,
@@ -321,6 +320,6 @@ def _observation() -> list[DerivationStep]:
         compared(
             "Its observed force", "23", own, "(21) and (22): the measured force less the observed one is e_i.",
             ("the sensor reads the force on the carriage",),
-            (own_back, ("tau_e minus the observed force is e_i", sp.expand(seen - error) == 0)),
+            (own_back, ("tau_e minus the observed force is e_i", sp.expand(observer_error - error) == 0)),
         ),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""A derivation is a list of steps: what is claimed, what it assumes, what a program checked, and what is printed."""
+"""Steps of a derivation: an equation, its assumptions, the claims that the program checked, the printed equation."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class DerivationStep:
 
     ``number`` is the equation number of the paper ("" for a step between two of its equations), ``assumes`` what the
     step rests on, and ``checks`` the claims that the program tried, each with whether it holds. Where the paper prints
-    the equation, ``printed`` holds it as printed, ``read_as`` the symbols in it that are defined nowhere with those
-    they must be, and ``difference`` is printed minus derived right-hand side, so read.
+    the equation, ``printed`` holds it as printed, ``read_as`` its undefined symbols with those that they must
+    stand for, and ``difference`` is printed minus derived right-hand side, so read.
     """
 
     title: str
@@ -35,7 +35,7 @@ class DerivationStep:
 
     @property
     def place(self) -> str:
-        """Where in the paper: its equation, or what the title says."""
+        """Place in the paper: the equation number in brackets, else the title."""
         return f"({self.number})" if self.number else self.title
 
     @property
@@ -57,7 +57,7 @@ class DerivationStep:
             return ""
         if self.difference != 0:
             return NOT_AS_PRINTED
-        read = " and ".join(f"{text(found)} is read as {text(meant)}" for found, meant in self.read_as.items())
+        read = " and ".join(f"{text(symbol)} is read as {text(meant)}" for symbol, meant in self.read_as.items())
         return f"{AS_PRINTED} once {read}" if read else AS_PRINTED
 
     def to_dict(self) -> dict[str, Any]:
@@ -76,7 +76,7 @@ class DerivationStep:
             "checks": [{"claim": claim, "holds": true} for claim, true in self.checks],
             "holds": self.holds,
             "printed": both(self.printed),
-            "read_as": {text(found): text(meant) for found, meant in self.read_as.items()},
+            "read_as": {text(symbol): text(meant) for symbol, meant in self.read_as.items()},
             "difference": both(self.difference),
             "agrees": self.agrees,
             "verdict": self.verdict,
@@ -94,10 +94,10 @@ def compared(
 ) -> DerivationStep:
     """Return the step with the printed equation of that number and left-hand side beside it.
 
-    ``put`` are values of symbols of the printed equation that the derivation has found before.
+    ``put`` are expressions that earlier steps derived for symbols of the printed equation.
     """
-    printed = next(one for one in EQUATIONS[number] if one.lhs == derived.lhs)
+    printed = next(equation for equation in EQUATIONS[number] if equation.lhs == derived.lhs)
     there = printed.rhs.free_symbols
-    read_as = {found: meant for found, meant in READ_AS.get(number, {}).items() if found in there}
+    read_as = {symbol: meant for symbol, meant in READ_AS.get(number, {}).items() if symbol in there}
     difference = sp.simplify(sp.expand(printed.rhs.subs(read_as).subs(put or {}) - derived.rhs))
     return DerivationStep(title, number, derived, words, assumes, checks, printed, read_as, sp.factor(difference))

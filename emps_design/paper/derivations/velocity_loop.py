@@ -1,11 +1,9 @@
 """(6) to (11): the velocity loop from its two blocks, correction and carriage, and the force loop around it.
 
-(6) to (9): the velocity loop from its two blocks, correction and carriage.
-
 u = k_v1 (e / (t_v s) - qd)          IP correction of the velocity error e = v - qd
 (M s + F_v) qd = G_tau u             drive and carriage, (1) and (2) without Coulomb friction
 
-(10) and (11), an operator with a sign, and which gains are stable: Routh's inequality, both ways.
+The force loop has (10) and (11), the sign of the operator's force, and the stable gains by Routh's inequality.
 """
 
 from __future__ import annotations
@@ -76,7 +74,7 @@ def derive_velocity_loop(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRI
                  rests_on, put=stiffness),
         *_canonical(T_vc, rests_on, stiffness),
         *_from_the_specification(T_vc, k, t, (*rests_on, FEASIBLE)),
-        *_elsewhere(correction, carriage, rests_on),
+        *_plant_input_loop(correction, carriage, rests_on),
     )  # fmt: skip
 
 
@@ -89,10 +87,10 @@ def derive_pi_loop(correction: sp.Eq = PI_CORRECTION, carriage: sp.Eq = CARRIAGE
     rests_on = (LINEAR, FREE, CURRENT_LOOP, CONTINUOUS)
     solved = sp.solve([correction, carriage], [y.qd_1, y.u], dict=True)[0]
     T_vo = sp.factor(solved[y.qd_1] / y.e_v)
-    L = _elsewhere(CORRECTION, carriage, rests_on)[0].equation.rhs
+    L = _plant_input_loop(CORRECTION, carriage, rests_on)[0].equation.rhs
     parts = _crossover(T_vo.subs(y.k_v1, y.K_v * y.t_v / y.G_tau))
-    found = sp.solve(parts, [y.K_v, y.t_v], dict=True)[0]
-    k, t = sp.simplify(found[y.K_v] * found[y.t_v] / y.G_tau), sp.simplify(found[y.t_v])
+    solution = sp.solve(parts, [y.K_v, y.t_v], dict=True)[0]
+    k, t = sp.simplify(solution[y.K_v] * solution[y.t_v] / y.G_tau), sp.simplify(solution[y.t_v])
     T_vc, ip = closed_velocity_loop(correction, carriage), closed_velocity_loop(CORRECTION, carriage)
     end = sp.pi / 2 + sp.atan(y.F_v1 / (y.M_1 * y.omega_v))
     return (
@@ -146,10 +144,10 @@ def _canonical(T_vc: sp.Expr, rests_on: tuple[str, ...], stiffness: dict) -> lis
 
 def _from_the_specification(T_vc: sp.Expr, k: sp.Expr, t: sp.Expr, rests_on: tuple[str, ...]) -> list[DerivationStep]:
     w0, z = _coefficients(T_vc)
-    w0_said = _positive_phase(w0.subs(y.t_v, t).subs(y.k_v1, k))
-    z_said = _positive_phase(z.subs(y.omega_0v, w0).subs(y.t_v, t).subs(y.k_v1, k))
-    free = not (w0_said.free_symbols | z_said.free_symbols) & {y.M_1, y.F_v1, y.G_tau}
-    product = sp.simplify(_positive_phase(2 * z_said * w0_said) - y.omega_v * sp.tan(y.phi_v)) == 0
+    w0_specified = _positive_phase(w0.subs(y.t_v, t).subs(y.k_v1, k))
+    z_specified = _positive_phase(z.subs(y.omega_0v, w0).subs(y.t_v, t).subs(y.k_v1, k))
+    free = not (w0_specified.free_symbols | z_specified.free_symbols) & {y.M_1, y.F_v1, y.G_tau}
+    product = sp.simplify(_positive_phase(2 * z_specified * w0_specified) - y.omega_v * sp.tan(y.phi_v)) == 0
     ratio, omega_b = sp.Symbol("x", positive=True), sp.Symbol(r"\omega_b", positive=True)
     answer = 1 / (1 + 2 * y.z_v * sp.I * sp.sqrt(ratio) - ratio)  # (9) at s = j omega_0v sqrt(x)
     power = sp.simplify(sp.expand(answer * sp.conjugate(answer), complex=True))
@@ -158,12 +156,12 @@ def _from_the_specification(T_vc: sp.Expr, k: sp.Expr, t: sp.Expr, rests_on: tup
     largest = max(roots, key=lambda root: root.subs(y.z_v, 1).evalf())
     return [
         DerivationStep(
-            "What T_vc depends on: natural frequency", "", Equation(y.omega_0v, w0_said),
+            "What T_vc depends on: natural frequency", "", Equation(y.omega_0v, w0_specified),
             "(7) put into (9): T_vc follows from the specification alone.", rests_on,
             (("mass, friction and gain are gone", free),),
         ),
         DerivationStep(
-            "What T_vc depends on: damping ratio", "", Equation(y.z_v, z_said), "The same.", rests_on,
+            "What T_vc depends on: damping ratio", "", Equation(y.z_v, z_specified), "The same.", rests_on,
             (("2 z_v omega_0v = omega_v tan(phi_v)", product),),
         ),
         DerivationStep(
@@ -173,7 +171,7 @@ def _from_the_specification(T_vc: sp.Expr, k: sp.Expr, t: sp.Expr, rests_on: tup
     ]  # fmt: skip
 
 
-def _elsewhere(correction: sp.Eq, carriage: sp.Eq, rests_on: tuple[str, ...]) -> list[DerivationStep]:
+def _plant_input_loop(correction: sp.Eq, carriage: sp.Eq, rests_on: tuple[str, ...]) -> list[DerivationStep]:
     broken = sp.Symbol("u_{in}")
     opened = sp.solve([correction.subs(y.e_v, -y.qd_1), carriage.subs(y.u, broken)], [y.qd_1, y.u])
     return [
@@ -198,10 +196,10 @@ def derive_force_loop() -> tuple[DerivationStep, ...]:
     >>> [(step.number, step.verdict) for step in derive_force_loop() if step.number]
     [('10', 'as printed'), ('11', 'as printed'), ('10', 'not as printed')]
     """
-    return (*_as_the_paper(), carriage_step(), *routh_steps(), *limits())
+    return (*_paper_steps(), carriage_step(), *routh_steps(), *limits())
 
 
-def _as_the_paper() -> list[DerivationStep]:
+def _paper_steps() -> list[DerivationStep]:
     T_vc = 1 / (1 + 2 * y.z_v / y.omega_0v * y.s + y.s**2 / y.omega_0v**2)
     loop = [sp.Eq(y.qd_1, T_vc * y.k_e1 * tau_in), sp.Eq(y.tau_e, y.k_c * y.qd_1)]
     T_eo = sp.simplify(sp.solve(loop, [y.qd_1, y.tau_e], dict=True)[0][y.tau_e] / tau_in)

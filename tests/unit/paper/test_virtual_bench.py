@@ -31,7 +31,7 @@ def section():
 @pytest.fixture(scope="module")
 def short():
     """The first three of each kind."""
-    return reproduce_section_3(seed=0, given=numbers(experiments=3))
+    return reproduce_section_3(seed=0, bench_numbers=numbers(experiments=3))
 
 
 def test_every_number_says_where_it_comes_from():
