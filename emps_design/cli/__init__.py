@@ -15,29 +15,29 @@ from emps_design.cli.output import tell
 
 def main() -> None:
     """Entry point of ``emps-design``."""
-    _stand_on_three_streams()
+    _open_closed_streams()
     if sys.stdout is None:
         tell("standard output is closed, expected somewhere to print; > /dev/null prints nowhere")
         sys.exit(1)
     if "--debug" not in sys.argv and not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such
-    gc.set_threshold(20_000, 20, 20)  # imports make many objects and let few go: looking for those took a tenth
+    gc.set_threshold(20_000, 20, 20)  # imports create many objects and free few: collection took a tenth of the start
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices here are tall and thin: threads would only spin
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looked for in every package there is, at each start
-    interrupts.listen()
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # or each start searches every installed package
+    interrupts.install_handlers()
     status = run(sys.argv[1:])
     if status == interrupts.STATUS:
         interrupts.end()
-    gc.freeze()  # the process ends: looking once more for what nobody holds took half a second
+    gc.freeze()  # the process ends: a last collection took half a second
     sys.exit(status)
 
 
-def _stand_on_three_streams() -> None:
-    """Put the null device where a standard stream is closed, or the next file opened would get its place."""
+def _open_closed_streams() -> None:
+    """Open the null device for every closed standard stream; otherwise the next file would get its descriptor."""
     while (free := os.open(os.devnull, os.O_RDWR)) <= 2:
         continue
     os.close(free)
     sys.stdin, sys.stderr = sys.stdin or open(0), sys.stderr or open(2, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # the name of a file need not be text: show what cannot be encoded
+        if isinstance(stream, TextIOWrapper):  # file names may hold what the terminal cannot show: escape it
             stream.reconfigure(errors="backslashreplace")

@@ -20,7 +20,7 @@ from emps_design.errors import EmpsError, InputError, SimulationError, Specifica
 if TYPE_CHECKING:
     import typer
 
-# Commands in the order of the work, each with the sentence that the help of all commands says of it.
+# Commands in the order of the work, each with its sentence in the help of all commands.
 GROUPS = {
     "Start": {
         "demo": "Run the main job on the embedded machine; no file is needed.",
@@ -87,16 +87,16 @@ def run(arguments: list[str]) -> int:
         tell(error)
         return error.exit_code
     except BrokenPipeError:
-        _print_nowhere()  # the reader of our output has left (`| head`)
+        _discard_output()  # the reader has closed the pipe (`| head`)
         return 1
     except OSError as error:
         if debug:
             raise
-        _print_nowhere()  # it may be standard output that is full
+        _discard_output()  # standard output itself may be full
         tell(f"{error.filename or 'output'}: {error.strerror or error} (run with --debug for the traceback)")
         return 1
     except Exception as error:
-        # Usage errors and Ctrl-C in a prompt come from click, or from the copy of click inside typer: same names.
+        # Usage errors and Ctrl-C at a prompt come from click or from typer's copy of it: the names are the same.
         if type(error).__name__ == "Abort":
             tell("interrupted")
             return INTERRUPTED
@@ -118,37 +118,37 @@ def run(arguments: list[str]) -> int:
 
 
 def _result(arguments: list[str]) -> Any:
-    """What the command returns; an error that an interrupt ends in is that interrupt."""
+    """Run the command and return what it returns; an error after an interrupt is raised as that interrupt."""
     try:
         return _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
     except Exception as error:
-        if interrupts.heard.is_set():  # compiled code that is interrupted may raise an error of its own
+        if interrupts.interrupted.is_set():  # interrupted compiled code may raise an error of its own
             raise KeyboardInterrupt from error
         raise
 
 
-def _print_nowhere() -> None:
-    """Let what is still buffered for standard output go nowhere, in silence, when the process ends."""
-    with suppress(OSError, ValueError):  # a ValueError: it has no descriptor, as in a test
+def _discard_output() -> None:
+    """Discard what is still buffered for standard output when the process ends."""
+    with suppress(OSError, ValueError):  # a ValueError: no descriptor, as in a test
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _application(arguments: list[str]) -> typer.Typer:
-    """The Typer application. The module of the command that runs is imported, or all where there is none of that name.
+    """Return the Typer application with the command that ``arguments`` name, or with all commands if none has the name.
 
-    None for an option of the whole, such as ``--help``: it has a sentence for each command at hand.
+    For an option of the program itself, such as ``--help``, no module is imported: :data:`GROUPS` has the sentences.
     """
     import typer
     from typer.core import TyperGroup
 
-    def say_version(asked: bool) -> None:
-        if asked:
+    def print_version(requested: bool) -> None:
+        if requested:
             typer.echo(f"emps-design {__version__}")
             raise typer.Exit
 
     def root(
         version: bool = typer.Option(
-            False, "--version", is_eager=True, callback=say_version, help="Show the version and exit."
+            False, "--version", is_eager=True, callback=print_version, help="Show the version and exit."
         ),
     ) -> None:
         pass
@@ -175,13 +175,13 @@ def _application(arguments: list[str]) -> typer.Typer:
     for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
         module = importlib.import_module(f"emps_design.cli.{name}")
         about_an_axis = "axis" in inspect.signature(module.command).parameters
-        described = app.command(name, help=module.__doc__, epilog=TURNING if about_an_axis else None)
-        described(_with_debug(module.command))
+        register = app.command(name, help=module.__doc__, epilog=TURNING if about_an_axis else None)
+        register(_with_debug(module.command))
     return app
 
 
 def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]:
-    """``command`` with ``--debug`` among its options, for its help: :func:`run` has taken the word out before."""
+    """Return ``command`` with ``--debug`` in its help; :func:`run` has removed the word from the arguments."""
     import typer
 
     @functools.wraps(command)
@@ -189,7 +189,9 @@ def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]
         return command(*arguments, **options)
 
     hints = get_type_hints(command, include_extras=True)
-    own = [one.replace(annotation=hints[name]) for name, one in inspect.signature(command).parameters.items()]
+    own = [
+        parameter.replace(annotation=hints[name]) for name, parameter in inspect.signature(command).parameters.items()
+    ]
     option = typer.Option(False, "--debug", help="The traceback of an error.")
     added = inspect.Parameter("debug", inspect.Parameter.KEYWORD_ONLY, default=option, annotation=bool)
     described: Any = with_debug

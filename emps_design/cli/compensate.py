@@ -21,7 +21,7 @@ from emps_design.cli.output import (
 )
 
 FILES = {"axis.toml": AXIS, "compensation.json": JSON}
-# The options that each scenario reads.
+# The options that each scenario uses.
 SCENARIOS = {
     "laps": ("stroke", "speed", "acceleration"),
     "half-ramp": ("speed",),
@@ -59,10 +59,10 @@ def command(
         raise InputError("--scenario reference: found no reference, expected --reference FILE")
     machine = load_axis(axis)
     q_ref = _reference(machine, scenario, reference, stroke, speed, acceleration)
-    found = compensate(machine, q_ref, mismatch, phase)
-    document = add_advice({"scenario": scenario, **found.to_dict()}, axis)
+    compensation = compensate(machine, q_ref, mismatch, phase)
+    document = add_advice({"scenario": scenario, **compensation.to_dict()}, axis)
     if out is not None:
-        document["out"] = _write(out, found, document)
+        document["out"] = _write(out, compensation, document)
     if as_json:
         print_json(document)
     else:
@@ -87,12 +87,12 @@ def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed
     return scenarios.trapezoid_laps(period, stroke, speed, acceleration, laps=1)
 
 
-def _write(out: Path, found: Any, document: dict[str, Any]) -> str:
+def _write(out: Path, compensation: Any, document: dict[str, Any]) -> str:
     from emps_design.files import write_text, write_together
 
     make_folder(out)
     with write_together(out) as aside:
-        write_text(aside / "axis.toml", found.axis.to_toml(comments=True))
+        write_text(aside / "axis.toml", compensation.axis.to_toml(comments=True))
         write_text(aside / "compensation.json", f"{json_text(document)}\n")
     return str(out)
 

@@ -65,14 +65,14 @@ def _show(report: Report, truth: dict[str, float], record_file: Path) -> None:
 
     from emps_design.cli.output import new_console, say
 
-    velocity, force, found = report.results.velocity, report.results.force, report.found[0]
+    velocity, force, identification = report.results.velocity, report.results.force, report.found[0]
     assert force is not None
     console = new_console()
     say(f"1. A record of {MACHINE}, simulated: {record_file}")
     table = Table(title="2. Identified from the record", title_justify="left")
     for heading in ("parameter", "simulated with", "found", "std", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
-    for name, estimate in found.parameters.items():
+    for name, estimate in identification.parameters.items():
         table.add_row(
             name, f"{truth[name]:.4f}", f"{estimate.value:.4f}", f"{estimate.std:.4f}", estimate.quantity.unit
         )

@@ -47,7 +47,7 @@ def _document(parts: dict[str, tuple[str, tuple[DerivationStep, ...]]], cost: di
             name: {"title": title, "steps": [step.to_dict() for step in steps]}
             for name, (title, steps) in parts.items()
         },
-        "errata": [one.to_dict() for one in find_errata()],
+        "errata": [erratum.to_dict() for erratum in find_errata()],
         "cost_of_printed_30": {"axis": "emps2018", "M_a": MASS, "B": DAMPING, **cost},
         "warnings": [
             f"{step.place} {step.title}: {claim}: found false"
@@ -81,8 +81,8 @@ def _print_text(parts: dict[str, tuple[str, tuple[DerivationStep, ...]]], cost: 
             if step.agrees is False:
                 say(f"printed:\n    {text(step.printed)}")
     console.rule("Where the paper differs", align="left")
-    for one in find_errata():
-        console.print(f"{one.place} {one.title}: {one.text}", highlight=False)
+    for erratum in find_errata():
+        console.print(f"{erratum.place} {erratum.title}: {erratum.text}", highlight=False)
     console.print(f"\nWhat (30) as printed costs on emps2018 with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):")
     for name, felt in cost.items():
         console.print(

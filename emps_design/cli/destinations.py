@@ -1,4 +1,4 @@
-"""What a command is asked to write is checked before its work: nothing is lost for it, and nothing is done in vain."""
+"""Checks of the files that a command is to write, made before its work: no input is lost, no work is in vain."""
 
 from __future__ import annotations
 
@@ -42,23 +42,23 @@ def check_out(
     force: bool = False,
     option: str = "--out",
 ) -> None:
-    """Refuse, with :class:`InputError`, what could not be written to ``out``, or would destroy something there.
+    """Raise :class:`InputError` if ``out`` cannot be written, or holds something that must not be overwritten.
 
-    That is a file that the command reads (``inputs``; names of embedded machines and None count for nothing), and,
-    without ``force``, a file that holds anything but ``kind``.
+    That is a file that the command reads (``inputs``; names of embedded machines and None are ignored) and, without
+    ``force``, a file that holds anything but ``kind``.
     """
     if out is None:
         return
     target = destination(out)
     if not target.exists():
         return
-    for given in inputs:
-        if given is not None and os.path.exists(given) and os.path.samefile(given, target):
-            raise InputError(f"{option}: {out} is what this command reads ({given}); choose another name")
-    found = content(target)
-    if found not in ("", kind) and not force:
+    for source in inputs:
+        if source is not None and os.path.exists(source) and os.path.samefile(source, target):
+            raise InputError(f"{option}: {out} is what this command reads ({source}); choose another name")
+    existing = content(target)
+    if existing not in ("", kind) and not force:
         raise InputError(
-            f"{option}: {out} holds {found}, expected {kind} or no such file; choose another name, or give --force"
+            f"{option}: {out} holds {existing}, expected {kind} or no such file; choose another name, or give --force"
         )
 
 
@@ -69,7 +69,7 @@ def check_named_out(
     force: bool = False,
     option: str = "--out",
 ) -> None:
-    """The same where the name says what is written: ``kinds`` by the endings that it may have."""
+    """As :func:`check_out`, with the kind of file from the suffix of ``out``: ``kinds`` maps suffix to kind."""
     if out is None:
         return
     if out.suffix not in kinds:
@@ -80,7 +80,7 @@ def check_named_out(
 def check_folder(
     out: Path | None, kinds: Mapping[str, str], inputs: Sequence[str | Path | None] = (), force: bool = False
 ) -> None:
-    """The same for a folder ``out`` in which files of ``kinds`` (what each name will hold) are to be written."""
+    """As :func:`check_out`, for a folder ``out``: ``kinds`` maps the name of each file to be written to its kind."""
     if out is None:
         return
     if os.path.lexists(out) and not os.path.isdir(out):
@@ -93,7 +93,7 @@ def check_folder(
 
 
 def make_folder(out: Path, parents: bool = False) -> None:
-    """Make the folder ``out`` where there is none, with ``parents`` those above it too."""
+    """Make the folder ``out`` if there is none; with ``parents``, the folders above it as well."""
     try:
         out.mkdir(parents=parents, exist_ok=True)
     except OSError as error:
@@ -101,7 +101,7 @@ def make_folder(out: Path, parents: bool = False) -> None:
 
 
 def content(path: Path) -> str:
-    """What the file at ``path`` holds, in words; nothing for an empty one.
+    """Return the kind of file at ``path`` in words, "" for an empty file.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "a"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder, make_folder
-from emps_design.cli.interrupts import PartialDiagnosis, before_the_end
+from emps_design.cli.interrupts import PartialDiagnosis, on_interrupt
 from emps_design.cli.options import refuse_force
 from emps_design.cli.output import (
     add_advice,
@@ -73,9 +73,9 @@ def command(
     machine = load_axis(axis)
     read = [import_record(path, machine) for path in records]
     held_out = None if holdout is None else import_record(holdout, machine)
-    _check_diagnosis_there(out, read, force)
+    _check_same_records(out, read, force)
     partial = PartialDiagnosis(out)
-    with progress_bar() as bar, before_the_end(partial.write):
+    with progress_bar() as bar, on_interrupt(partial.write):
         diagnosis = diagnose(
             read,
             machine,
@@ -84,8 +84,8 @@ def command(
             confirm_time=_window(confirm_time, "--confirm-time"),
             seed=seed,
             searches=healthy_runs,
-            progress=partial.hears(bar),
-            searched=partial.knows,
+            progress=partial.track(bar),
+            searched=partial.keep_model,
             closest=closest_model,
         )
     if out is not None:
@@ -114,14 +114,14 @@ def _window(text: str | None, option: str) -> tuple[float, float] | None:
     return start, stop
 
 
-def _check_diagnosis_there(out: Path | None, records: Sequence[Record], force: bool) -> None:
-    """Refuse, without ``force``, to replace the diagnosis in ``out`` of other ``records`` than are diagnosed now."""
+def _check_same_records(out: Path | None, records: Sequence[Record], force: bool) -> None:
+    """Refuse, without ``force``, to replace a diagnosis in ``out`` that was made of other records than ``records``."""
     path = None if out is None else out / "diagnosis.json"
     if path is None or force or not path.is_file() or not path.stat().st_size:
         return
     try:
-        there = json.loads(path.read_text(encoding="utf-8"))
-        trained = {one["sha256"]: one["name"] for one in there["records"] if one["role"] == "train"}
+        existing = json.loads(path.read_text(encoding="utf-8"))
+        trained = {entry["sha256"]: entry["name"] for entry in existing["records"] if entry["role"] == "train"}
     except (ValueError, TypeError, KeyError) as error:
         raise InputError(
             f"--out: {path} is no diagnosis that can be read, expected one of the same records or none; choose another "
@@ -136,13 +136,13 @@ def _check_diagnosis_there(out: Path | None, records: Sequence[Record], force: b
 
 
 def _write(diagnosis: Any, document: dict[str, Any], out: Path, axis: str) -> None:
-    """Write everything into ``out``, all files together or none."""
+    """Write all files of the diagnosis into ``out``, or none if one fails."""
     from emps_design.discrepancy.closest import FILE as CLOSEST_FILE
     from emps_design.discrepancy.experiment import FILE
     from emps_design.report.diagnosis import diagnosis_page
 
     make_folder(out)
-    trace, followed = diagnosis.trace, diagnosis.closest and diagnosis.closest.axis
+    trace, closest_axis = diagnosis.trace, diagnosis.closest and diagnosis.closest.axis
     with write_together(out) as aside:
         whose = f"numbers that belong to one record (phases, times) are those of {trace.name}"
         head = f"# {one_line(axis)}, extended by emps-design diagnose; {whose}\n"
@@ -153,13 +153,13 @@ def _write(diagnosis: Any, document: dict[str, Any], out: Path, axis: str) -> No
         if diagnosis.experiment is not None and diagnosis.experiment.q_ref is not None:
             experiment = diagnosis.experiment
             _table(aside / experiment.file, ("t", "q_ref"), (experiment.t, experiment.q_ref))
-        if followed is not None:
+        if closest_axis is not None:
             describes = f"# {one_line(axis)}, described by emps-design diagnose as closely as it could; {whose}\n"
-            write_text(aside / CLOSEST_FILE, describes + followed.to_toml())
+            write_text(aside / CLOSEST_FILE, describes + closest_axis.to_toml())
         write_text(aside / "report.html", diagnosis_page(diagnosis).html())
     if diagnosis.experiment is None or diagnosis.experiment.q_ref is None:
         (out / FILE).unlink(missing_ok=True)  # of a diagnosis before this one
-    if followed is None:
+    if closest_axis is None:
         (out / CLOSEST_FILE).unlink(missing_ok=True)
 
 
@@ -171,7 +171,7 @@ def _table(path: Path, titles: Sequence[str], columns: Sequence[Any]) -> None:
 
 
 def _share(confirmed: dict[str, float] | None) -> str:
-    """How much of an effect the held-out record asks for."""
+    """The share of an effect that the held-out record confirms, with its deviation; "-" without one."""
     return share_asked(confirmed["share"], confirmed["std"]) if confirmed else "-"
 
 
@@ -182,9 +182,9 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
     console.print(document["verdict"], style="bold", end="  ")
     console.print(document["sentence"], highlight=False)
     if document["findings"]:
-        told = any(finding["confirmed"] for finding in document["findings"])
+        any_confirmed = any(finding["confirmed"] for finding in document["findings"])
         gaps = [Column(head, no_wrap=True) for head in ("gap before [N]", "after [N]")]  # a unit stays in one line
-        table = Table("effect", "or", "where", *gaps, "confirmed" if told else "p")
+        table = Table("effect", "or", "where", *gaps, "confirmed" if any_confirmed else "p")
         for finding in document["findings"]:
             table.add_row(
                 finding["label"],
@@ -192,7 +192,7 @@ def _show(document: dict[str, Any], out: Path | None) -> None:
                 finding["where"]["text"],
                 rounded(finding["gap_before"], 3),
                 rounded(finding["gap_after"], 3),
-                _share(finding["confirmed"]) if told else f"{finding['p_value']:.3f}",
+                _share(finding["confirmed"]) if any_confirmed else f"{finding['p_value']:.3f}",
             )
         console.print(table, width=min(80, console.width))
     if document.get("experiment"):

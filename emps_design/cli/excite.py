@@ -47,30 +47,30 @@ def command(
         refuse_ignored(context, ["seed"], "goes without --steps: a stepped sine leaves nothing to chance")
     check_out(out, TABLE, (axis,), force)
     limits = Limits(stroke, speed_limit, force_limit, jerk_limit)
-    found = design_experiment(
+    experiment = design_experiment(
         load_axis(axis), limits, speed, low, high, resolution, passes, slope, at, noise, seed, steps
     )
     if out is not None:
-        _write(out, found)
+        _write(out, experiment)
     if as_json:
-        print_json(found)
+        print_json(experiment)
     else:
-        _show(found, out)
-    print_warnings(found.warnings)
+        _show(experiment, out)
+    print_warnings(experiment.warnings)
 
 
-def _write(out: Path, found: Experiment) -> None:
+def _write(out: Path, experiment: Experiment) -> None:
     import numpy as np
 
     from emps_design.files import write_aside
 
     with write_aside(out) as aside:
-        table = np.column_stack(list(found.columns.values()))
+        table = np.column_stack(list(experiment.columns.values()))
         np.savetxt(aside, table, fmt=["%.12g", *["%.10g"] * (table.shape[1] - 1)], delimiter=",",
-                   header=",".join(found.columns), comments="")  # fmt: skip
+                   header=",".join(experiment.columns), comments="")  # fmt: skip
 
 
-def _show(found: Experiment, out: Path | None) -> None:
+def _show(experiment: Experiment, out: Path | None) -> None:
     import numpy as np
     from rich import box
     from rich.table import Table
@@ -78,26 +78,27 @@ def _show(found: Experiment, out: Path | None) -> None:
     from emps_design.cli.output import new_console
     from emps_design.frequency_response.waves import SteppedSine
 
-    console, peaks, unit = new_console(), found.peaks, found.axis.units.unit
-    stepped = found.signal == SteppedSine.label
-    what = f"steps of at most {found.periods} blocks" if stepped else f"{found.periods} periods"
+    console, peaks, unit = new_console(), experiment.peaks, experiment.axis.units.unit
+    stepped = experiment.signal == SteppedSine.label
+    what = f"steps of at most {experiment.periods} blocks" if stepped else f"{experiment.periods} periods"
+    lines = experiment.frequency
     console.print(
-        f"{found.axis.name}: {found.signal} of {found.frequency.size} lines from {found.frequency[0]:.4g} to "
-        f"{found.frequency[-1]:.4g} Hz, added to the {found.at}; {found.passes} passes of {what} of "
-        f"{found.samples * found.period:g} s, {found.q_ref.size * found.period:.4g} s in all"
+        f"{experiment.axis.name}: {experiment.signal} of {lines.size} lines from {lines[0]:.4g} to "
+        f"{lines[-1]:.4g} Hz, added to the {experiment.at}; {experiment.passes} passes of {what} of "
+        f"{experiment.samples * experiment.period:g} s, {experiment.q_ref.size * experiment.period:.4g} s in all"
     )
     console.print(
-        f"passes at {found.speed:.5g} {unit('m/s')} (asked: {found.requested_speed:.5g}), "
+        f"passes at {experiment.speed:.5g} {unit('m/s')} (asked: {experiment.requested_speed:.5g}), "
         f"speed {peaks['slowest']:.4g} to {peaks['velocity']:.4g} {unit('m/s')}, command at most "
         f"{peaks['command']:.4g} {unit('V')}, travel {peaks['stroke']:.4g} {unit('m')}; the amplitude is bound by the "
-        f"{found.bound_by}"
+        f"{experiment.bound_by}"
     )
-    table = Table(title=f"expected of {found.noise:g} {unit('N')} rms of white force noise", box=box.SIMPLE)
+    table = Table(title=f"expected of {experiment.noise:g} {unit('N')} rms of white force noise", box=box.SIMPLE)
     for heading in ("frequency [Hz]", "relative std [%]"):
         table.add_column(heading, justify="right")
-    wanted = np.geomspace(found.frequency[0], found.frequency[-1], 10)
-    for i in sorted({int(np.argmin(np.abs(found.frequency - f))) for f in wanted}):
-        table.add_row(f"{found.frequency[i]:.4g}", f"{100 * found.std[i]:.3g}")
+    wanted = np.geomspace(lines[0], lines[-1], 10)
+    for i in sorted({int(np.argmin(np.abs(lines - f))) for f in wanted}):
+        table.add_row(f"{lines[i]:.4g}", f"{100 * experiment.std[i]:.3g}")
     console.print(table)
     if out is not None:
         console.print(f"reference and excitation: {out}", soft_wrap=True)

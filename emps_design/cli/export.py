@@ -13,7 +13,7 @@ from emps_design.cli.options import HERTZ, AsJson, AxisArgument, Force, refuse_i
 from emps_design.cli.output import load_axis, print_json, print_warnings, say
 
 MAX_BYTES = 1_000_000  # of a compensation
-KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # what else is code
+KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # any other file is code
 
 
 def command(
@@ -37,13 +37,13 @@ def command(
     if observer is not None:
         refuse_ignored(context, ["compensation"], "goes without --observer")
     check_folder(out, {}, (axis, compensation), force)
-    found = None if compensation is None else _read(compensation)
+    feedforward = None if compensation is None else _read(compensation)
     machine = load_axis(axis)
     origin = origin_of(Path(axis).name, Path(axis).read_bytes()) if Path(axis).is_file() else ""
     if observer is not None:
         exported = export_observer(machine, target, observer, origin)
     else:
-        exported = export_controller(machine, target, found, origin)
+        exported = export_controller(machine, target, feedforward, origin)
     kinds = {name: KINDS.get(Path(name).suffix, CODE) for name in exported.files}
     check_folder(out, kinds, (axis, compensation), force)
     make_folder(out)
@@ -66,7 +66,7 @@ def command(
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """The document of a compensation, whose content the library checks."""
+    """Read the JSON document of a compensation; the library checks its content."""
     from emps_design.errors import InputError
     from emps_design.files import read_bytes
 

@@ -26,11 +26,11 @@ from emps_design.cli.options import (
     StructureOption,
     Velocity,
     Viscous,
-    estimator_given,
-    filters_asked_for,
+    estimator_from_text,
+    filters_from_options,
     refuse_force,
     refuse_ignored,
-    structure_asked_for,
+    structure_from_options,
     with_numbers,
     within,
     write_axis,
@@ -85,7 +85,7 @@ def command(
         mechanics={"mass": mass, "viscous": viscous},
         drive={"force_gain": force_gain, "current_time_constant": current_time_constant},
         sampling={"period": period, "computation_delay": computation_delay},
-        controller={"velocity_estimator": estimator_given(velocity_estimator)},
+        controller={"velocity_estimator": estimator_from_text(velocity_estimator)},
     )
     notes: list[str] = []
     controller = machine.controller
@@ -97,7 +97,7 @@ def command(
         hand = 1.0 / k_e1 if k_e1 > 0.0 else 0.0
         notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {hand:g} N/(m/s)")
 
-    asked = structure_asked_for(context, machine, structure, reference_filter)
+    wanted_structure = structure_from_options(context, machine, structure, reference_filter)
     own = own_gains(machine)
     if crossover is None and bandwidth is None and own is not None:
         why = "goes with --crossover or --bandwidth; without them the velocity loop is that of the axis file"
@@ -111,7 +111,7 @@ def command(
             crossover = 100.0
             notes.append(f"velocity loop: designed for the paper's 100 rad/s crossover and {phase_margin:g} deg")
         loop = design_velocity_loop(
-            machine, crossover, bandwidth, phase_margin, velocity, asked, filters_asked_for(filters)
+            machine, crossover, bandwidth, phase_margin, velocity, wanted_structure, filters_from_options(filters)
         )
     design = design_force_loop(loop, k_e1, hand or 0.0, environment or 0.0, sensor_delay, not sensor_only)
 

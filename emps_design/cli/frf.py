@@ -14,7 +14,7 @@ from emps_design.cli.options import HERTZ, refuse_force
 if TYPE_CHECKING:
     from emps_design.frequency_response import ResponseEstimate
 
-LONG = 1_000_000  # samples from which on it is worth saying how far the work is
+LONG = 1_000_000  # samples from which on a progress bar is worth it
 OUT = {".csv": TABLE, ".mat": MATLAB}
 
 
@@ -57,43 +57,43 @@ def command(
     loaded = load_axis(axis)
     read = [import_record(path, loaded) for path in records]
     with progress_bar(sum(map(len, read)) >= LONG) as progress:
-        found = estimate_response(read, loaded, method, instrument, low, high, progress=progress)
+        estimate = estimate_response(read, loaded, method, instrument, low, high, progress=progress)
     if out is not None:
-        write_response(out, found.response)
+        write_response(out, estimate.response)
     if plot is not None:
-        _draw(plot, found)
-    document = add_advice(found.to_dict(), axis, records)
+        _draw(plot, estimate)
+    document = add_advice(estimate.to_dict(), axis, records)
     if as_json:
         print_json(document)
     else:
-        _show(found, loaded.units.unit)
-    print_warnings(found.all_warnings)
+        _show(estimate, loaded.units.unit)
+    print_warnings(estimate.all_warnings)
     if not as_json:
         say_advice(document)
 
 
-def _draw(path: Path, found: ResponseEstimate) -> None:
+def _draw(path: Path, estimate: ResponseEstimate) -> None:
     from emps_design.files import write_aside
     from emps_design.report.frequency_response import response_figure
     from emps_design.report.style import draw, labelled
 
-    figure = labelled(response_figure(found.comparison, found.spectral_ratio), found.axis.units)
+    figure = labelled(response_figure(estimate.comparison, estimate.spectral_ratio), estimate.axis.units)
     with write_aside(path) as aside:
         draw(figure, aside, path.suffix[1:])
 
 
-def _show(found: ResponseEstimate, unit: Callable[[str], str]) -> None:
+def _show(estimate: ResponseEstimate, unit: Callable[[str], str]) -> None:
     import numpy as np
     from rich import box
     from rich.table import Table
 
     from emps_design.cli.output import new_console
 
-    console, response = new_console(), found.response
+    console, response = new_console(), estimate.response
     console.print(
         f"{response.name}: {len(response)} lines from {response.frequency[0]:.4g} to {response.frequency[-1]:.4g} Hz; "
-        f"{found.method}, by the {found.instrument}, {found.seconds:.4g} s on {found.passes} "
-        f"pass{'' if found.passes == 1 else 'es'}"
+        f"{estimate.method}, by the {estimate.instrument}, {estimate.seconds:.4g} s on {estimate.passes} "
+        f"pass{'' if estimate.passes == 1 else 'es'}"
     )
     table = Table(box=box.SIMPLE, pad_edge=False)
     for heading in (
@@ -106,7 +106,7 @@ def _show(found: ResponseEstimate, unit: Callable[[str], str]) -> None:
     ):
         table.add_column(heading, justify="right")
     wanted = np.geomspace(response.frequency[0], response.frequency[-1], 16)
-    apart = found.spectral_ratio / response.response - 1.0
+    apart = estimate.spectral_ratio / response.response - 1.0
     for i in sorted({int(np.argmin(np.abs(response.frequency - f))) for f in wanted}):
         table.add_row(
             f"{response.frequency[i]:.4g}",
@@ -117,18 +117,20 @@ def _show(found: ResponseEstimate, unit: Callable[[str], str]) -> None:
             f"{100 * abs(apart[i]):.2g} % off",
         )
     console.print(table)
-    for one in found.resonances:
-        console.print(f"{one.kind} at {one.frequency:.2f} +- {one.std:.2f} Hz, damping {one.damping:.3f}")
-    chain = found.comparison.chain
+    for resonance in estimate.resonances:
+        console.print(
+            f"{resonance.kind} at {resonance.frequency:.2f} +- {resonance.std:.2f} Hz, damping {resonance.damping:.3f}"
+        )
+    chain = estimate.comparison.chain
     values = [
         f"{name.replace('_', ' ')} {f'{value:.5g} +- {std:.2g} {unit(of)}'.rstrip() if known else 'not determined'}"
         for name, (value, std, of) in chain.parameters.items()
         for known in [chain.determines(name)]
     ]
     console.print(f"fitted, {chain.label}: {', '.join(values)} (residuals {chain.misfit:.2g} deviations)")
-    console.print(f"{found.axis.name}: {found.comparison.agreement.sentence}")
-    if found.distortion is not None:
-        levels = found.distortion.to_dict()
+    console.print(f"{estimate.axis.name}: {estimate.comparison.agreement.sentence}")
+    if estimate.distortion is not None:
+        levels = estimate.distortion.to_dict()
         words = [f"{name} {100 * level:.2g} %" for name, level in levels.items() if level is not None]
         console.print(f"of the linear answer, one period: {', '.join(words)} (odd, even: nonlinear distortion)")
     console.print("ratio of spectra: velocity over command, which ignores feedback; for comparison only")

@@ -42,13 +42,13 @@ from emps_design.cli.options import (
     Velocity,
     Viscous,
     VoltageLimit,
-    estimator_given,
-    filters_asked_for,
-    load_range_asked_for,
-    position_loop_asked_for,
+    estimator_from_text,
+    filters_from_options,
+    load_range_from_options,
+    position_loop_from_options,
     refuse_force,
     refuse_ignored,
-    structure_asked_for,
+    structure_from_options,
     with_numbers,
     within,
     write_axis,
@@ -123,7 +123,7 @@ def command(
     if all(value is None for value in position):
         why = "goes with --position-overshoot, --position-bandwidth, --position-stiffness or --position-kp"
         refuse_ignored(context, ["position_every"], why)
-    span = load_range_asked_for(inertia_range, compliance_range, delay_range)
+    span = load_range_from_options(inertia_range, compliance_range, delay_range)
     check_out(out, AXIS, (axis, sigma_from, *(frf or ())), force)
     check_specification(crossover, bandwidth, phase_margin)
     loaded = load_axis(axis)
@@ -140,7 +140,7 @@ def command(
             "encoder_resolution": encoder_resolution,
             "computation_delay": computation_delay,
         },
-        controller={"velocity_estimator": estimator_given(velocity_estimator)},
+        controller={"velocity_estimator": estimator_from_text(velocity_estimator)},
     )
     errors = _errors(machine, mismatch, sigma_from)
     specification: dict[str, Any] = {
@@ -148,8 +148,8 @@ def command(
         "bandwidth": bandwidth,
         "phase_margin_deg": phase_margin,
         "velocity": velocity,
-        "structure": structure_asked_for(context, machine, structure, reference_filter),
-        "filters": filters_asked_for(filters),
+        "structure": structure_from_options(context, machine, structure, reference_filter),
+        "filters": filters_from_options(filters),
     }
     responses = _responses(frf or [])
     peaks = {"sensitivity_peak_below": sensitivity_peak_below, "sensitivity_peak_above": sensitivity_peak_above}
@@ -162,7 +162,7 @@ def command(
         design = retune_velocity_loop(machine, at=at, **specification)
     else:
         design = design_velocity_loop(machine, **specification)
-    around = position_loop_asked_for(design, *position, position_every) if design.sampled.stable else None
+    around = position_loop_from_options(design, *position, position_every) if design.sampled.stable else None
     measured = _Measured(responses, design, around, limits) if responses else None
     verdict = DesignVerdict(design, around, span, errors, measured.loops if measured else ())
     document = gains_document(design, verdict)
@@ -175,13 +175,13 @@ def command(
         else:
             from emps_design.control.velocity.limits import faster_in_words, suggest_filter
 
-            document["suggestion"] = found = suggest_filter(*suggested)
-            fastest = found["without"]["crossover"]
-            found["these_gains"] = faster_in_words(design.sampled, phase_margin, fastest) or None
+            document["suggestion"] = suggestion = suggest_filter(*suggested)
+            fastest = suggestion["without"]["crossover"]
+            suggestion["these_gains"] = faster_in_words(design.sampled, phase_margin, fastest) or None
     if measured is not None:
         document["measured"] = measured.document
         document["warnings"] += measured.warnings
-        if sensitivity_peak_above is not None and not any(one.antiresonance for one in measured.velocity):
+        if sensitivity_peak_above is not None and not any(margins.antiresonance for margins in measured.velocity):
             document["warnings"].append("--sensitivity-peak-above: the data have no antiresonance; all lies below")
     if verdict.stable and out is not None:
         table = design.controller_table() if around is None else around.controller_table()
@@ -208,7 +208,7 @@ def command(
 
 
 class _Measured:
-    """The loops of a design on measured plants: the velocity loop, and the whole where a position loop is around it."""
+    """Margins of a design on measured plants: of the velocity loop, and of the whole if there is a position loop."""
 
     def __init__(
         self,
@@ -223,18 +223,19 @@ class _Measured:
         axes = {VELOCITY_LOOP: design.loop_axis}
         if around is not None or design.kept_loops:
             axes[WHOLE] = design.axis_that_runs if around is None else around.axis()
-        found = {name: [measured_margins(one, axis) for one in responses] for name, axis in axes.items()}
-        said = {name: measured_document(margins, limits) for name, margins in found.items()}
-        self.velocity = found[VELOCITY_LOOP]
-        self.loops = [one.loop(name) for name, margins in found.items() for one in margins]
-        self.document = said[VELOCITY_LOOP] | ({"whole_loop": said[WHOLE]} if WHOLE in said else {})
-        self.warnings = [warning for one in self.velocity for warning in one.warnings]
-        for name, one in said.items():
-            self.warnings += [f"{name} on the measured plant: {words}" for words in over_limits(one, limits)]
+        margins = {name: [measured_margins(response, axis) for response in responses] for name, axis in axes.items()}
+        documents = {name: measured_document(of_loop, limits) for name, of_loop in margins.items()}
+        whole = {"whole_loop": documents[WHOLE]} if WHOLE in documents else {}
+        self.velocity = margins[VELOCITY_LOOP]
+        self.loops = [measured.loop(name) for name, of_loop in margins.items() for measured in of_loop]
+        self.document = documents[VELOCITY_LOOP] | whole
+        self.warnings = [warning for measured in self.velocity for warning in measured.warnings]
+        for name, document in documents.items():
+            self.warnings += [f"{name} on the measured plant: {words}" for words in over_limits(document, limits)]
 
 
 def _responses(paths: list[Path]) -> list[FrequencyResponse]:
-    """The measured responses at ``paths``."""
+    """Read the measured responses at ``paths``."""
     if not paths:
         return []
     from emps_design.frequency_response import read_response
@@ -245,7 +246,7 @@ def _responses(paths: list[Path]) -> list[FrequencyResponse]:
 def _retuned(
     responses: list[FrequencyResponse], machine: Axis, at: str, specification: dict[str, Any], limits: dict[str, float]
 ) -> VelocityLoopDesign:
-    """The design that meets the specification on the one response given."""
+    """Return the design that meets the specification on the single response in ``responses``."""
     from emps_design.frequency_response.retune import retune_on_response
 
     if len(responses) > 1:
@@ -266,7 +267,7 @@ def _retuned(
 
 
 def _errors(axis: Axis, mismatch: float | None, sigma_from: Path | None) -> dict[str, float] | None:
-    """The relative errors to study: one share for all, or the intervals of an identification."""
+    """Return the relative errors to study: ``mismatch`` for every parameter, or the intervals of an identification."""
     if mismatch is None and sigma_from is None:
         return None
     from emps_design.control.velocity.load_range import identified_mismatch, relative_mismatch

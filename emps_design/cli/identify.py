@@ -87,39 +87,39 @@ def command(
         refuse_ignored(context, ["seed"], "goes with --bootstrap; nothing else is drawn")
     check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
-    # Refused before the records are read.
+    # Checks the options before the records are read.
     options = vars(Request(model, estimator, filter, cutoff, external_force, None, bootstrap, seed, with_))
     read = [import_record(path, loaded) for path in records]
     together = len(read) > 1 and any(map(goes_one_way, read))
     if together:
         from emps_design.identification.several import identify_together
 
-        found: Any = identify_together(read, loaded, **options)
+        identification: Any = identify_together(read, loaded, **options)
     elif len(read) == 1:
         judge = None if holdout is None else import_record(holdout, loaded)
-        found = identify(read[0], loaded, **{**options, "holdout": judge})
+        identification = identify(read[0], loaded, **{**options, "holdout": judge})
     else:
         from emps_design.identification.several import identify_several
 
         with progress_bar(not as_json or sys.stderr.isatty()) as progress:
-            found = identify_several(read, loaded, progress=progress, **options)
-    document = add_advice(found.to_dict(), axis, records)
+            identification = identify_several(read, loaded, progress=progress, **options)
+    document = add_advice(identification.to_dict(), axis, records)
     if as_json:
         print_json(document)
     elif together or len(read) == 1:
-        _show_one(found)
+        _show_one(identification)
     else:
-        _show_several(found)
-    for warning in found.warnings:
+        _show_several(identification)
+    for warning in identification.warnings:
         tell(warning)
-    if out is not None:  # last: what was found is shown, even where it is no machine
-        write_text(out, found.to_axis(name=one_line(out.stem)).to_toml())
+    if out is not None:  # last: the parameters are shown even if they make no valid axis
+        write_text(out, identification.to_axis(name=one_line(out.stem)).to_toml())
     if not as_json:
         say_advice(document)
 
 
 def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> None:
-    """Raise for an option that what was asked for would not read."""
+    """Refuse options that ``estimator``, or several records, would ignore."""
     from emps_design.errors import InputError
 
     if estimator in ("auto", "ls"):
@@ -133,16 +133,16 @@ def _refuse_ignored(context: typer.Context, estimator: str, records: int) -> Non
     refuse_ignored(context, ["filter", "bootstrap", "holdout"], why)
 
 
-def _show_one(found: Identification) -> None:
+def _show_one(identification: Identification) -> None:
     from emps_design.cli.output import new_console, new_table
     from emps_design.quantities import decimals, rounded
 
     console = new_console()
-    title = f"{found.record}, {found.model} model, {found.estimator.replace('_', ' ')}"
+    title = f"{identification.record}, {identification.model} model, {identification.estimator.replace('_', ' ')}"
     headings = ("parameter", "value", "std (15)", "% (16)", "std *", "95 % ± *", "unit")
     table = new_table(title, *headings, words=("unit",), whole=True, pad_edge=False, padding=(0, 1, 0, 0))
-    own = _rows_of(found.proposed)
-    for key, estimate in found.parameters.items():
+    own = _rows_of(identification.proposed)
+    for key, estimate in identification.parameters.items():
         name = key.replace("_and_", " + ") + (" +" if key in own else "")
         if estimate.interval_95 is None:
             table.add_row(name, "-", "", "", "", "", estimate.quantity.unit)  # a warning says why
@@ -159,50 +159,52 @@ def _show_one(found: Identification) -> None:
             estimate.quantity.unit,
         )
     console.print(table)
-    if found.proposed:
-        console.print(_why_proposed(found.proposed))
-    for label, key in ((f"HAC std, lag {found.hac_lag:.2f} s", "std_hac"), ("bootstrap std", "std_bootstrap")):
-        known = {name: getattr(e, key) for name, e in found.parameters.items() if getattr(e, key) is not None}
+    if identification.proposed:
+        console.print(_why_proposed(identification.proposed))
+    for label, key in ((f"HAC std, lag {identification.hac_lag:.2f} s", "std_hac"), ("bootstrap std", "std_bootstrap")):
+        known = {name: getattr(e, key) for name, e in identification.parameters.items() if getattr(e, key) is not None}
         if known:
             console.print(f"{label}: {', '.join(f'{name} {rounded(std, 4)}' for name, std in known.items())}")
     console.print(
-        f"force error {rounded(found.rms_error, 4)} N rms, "
-        f"{found.relative_error_percent:.4f} % of the force; condition number {found.condition_number:.1f}"
+        f"force error {rounded(identification.rms_error, 4)} N rms, "
+        f"{identification.relative_error_percent:.4f} % of the force; condition number "
+        f"{identification.condition_number:.1f}"
     )
+    residual = identification.residual
     console.print(
-        f"* {found.samples} rows count as {found.residual.effective_samples:.0f} independent ones (residual correlated "
-        f"over {1e3 * found.residual.correlation_time:.0f} ms)"
+        f"* {identification.samples} rows count as {residual.effective_samples:.0f} independent ones (residual "
+        f"correlated over {1e3 * residual.correlation_time:.0f} ms)"
     )
-    if found.extra["cutoff_sensitivity"] is not None:
-        console.print(_moved_by_cutoff(found))
-    if any(estimate.systematic for estimate in found.parameters.values()):
+    if identification.extra["cutoff_sensitivity"] is not None:
+        console.print(_moved_by_cutoff(identification))
+    if any(estimate.systematic for estimate in identification.parameters.values()):
         console.print("95 % ± holds what this filter is off by as well, judged by --filter hold")
-    stepped = {name: one.encoder for name, one in found.parameters.items() if one.encoder}
+    stepped = {name: estimate.encoder for name, estimate in identification.parameters.items() if estimate.encoder}
     if stepped:
         each = ", ".join(f"{name} {rounded(rms, 4)}" for name, rms in stepped.items())
         console.print(f"95 % ± holds what the steps of the encoder do as well, by simulation: {each} rms")
-    console.print(f"filter {found.chain}: {found.filter_text}")
-    if found.extra.get("held_out"):
-        judged = found.extra["held_out"]
+    console.print(f"filter {identification.chain}: {identification.filter_text}")
+    if identification.extra.get("held_out"):
+        judged = identification.extra["held_out"]
         share = judged["relative_error_percent"]
         compared = f"{share:.4f} %" if math.isfinite(share) else "where there is no force to compare it with"
         console.print(f"held out, {judged['on']}: {rounded(judged['rms_error'], 4)} N rms, {compared}")
-    if "cutoff_from_data" in found.extra:
-        chosen = found.extra["cutoff_from_data"]["cutoff_hz"]
-        if found.chain != "hold":
+    if "cutoff_from_data" in identification.extra:
+        chosen = identification.extra["cutoff_from_data"]["cutoff_hz"]
+        if identification.chain != "hold":
             console.print(f"--filter hold would cut off at {chosen:g} Hz")
-        elif found.cutoff_hz != chosen:
+        elif identification.cutoff_hz != chosen:
             console.print(f"motion and encoder of this record would have a cut-off of {chosen:g} Hz")
-    if "hausman_test" in found.extra:
-        test = found.extra["hausman_test"]
+    if "hausman_test" in identification.extra:
+        test = identification.extra["hausman_test"]
         verdict = "biased" if test["least_squares_biased"] else "not shown to be biased"
         little = ", too little to matter" if test["least_squares_biased"] and not test["bias_matters"] else ""
         console.print(
             f"Durbin-Wu-Hausman: least squares is {verdict} (p = {test['p_value']:.2g}), by at most "
             f"{test['shift_in_std']:.2f} standard deviations{little}"
         )
-    if "closed_loop" in found.extra:
-        loop = found.extra["closed_loop"]
+    if "closed_loop" in identification.extra:
+        loop = identification.extra["closed_loop"]
         console.print(
             f"closed loop from q_ref: position {1e6 * loop['position_rms_error']:.3f} um rms, force "
             f"{rounded(loop['force_rms_error'], 3)} N rms ({loop['force_relative_error_percent']:.2f} %)"
@@ -210,35 +212,35 @@ def _show_one(found: Identification) -> None:
 
 
 def _rows_of(terms: Sequence[str]) -> set[str]:
-    """The parameters that ``terms`` have, by name."""
+    """Return the names of the parameters of ``terms``."""
     from emps_design.effects.terms import TERMS
 
     return {quantity.name for term in terms for quantity in TERMS[term].quantities}
 
 
 def _why_proposed(terms: Sequence[str]) -> str:
-    """Which rows of the table the record asked for by itself, and how to do without."""
+    """Say which terms the record asked for, why, and how to leave them out."""
     return (
         f"+ proposed: {', '.join(terms)}; without it strokes that took no part in the fit are predicted with at least "
         "twice the error; --with none leaves it out"
     )
 
 
-def _moved_by_cutoff(found: Identification) -> str:
-    """What half and twice the cut-off change, and whether the intervals hold it."""
+def _moved_by_cutoff(identification: Identification) -> str:
+    """Say by how much half and twice the cut-off change the parameters, and whether the intervals cover it."""
     moved = ", ".join(
         f"{name} {100.0 * share:.2g} %"
-        for name, share in found.extra["cutoff_sensitivity"].items()
-        if share is not None and found.parameters[name].determined
+        for name, share in identification.extra["cutoff_sensitivity"].items()
+        if share is not None and identification.parameters[name].determined
     )
-    tried = " and ".join(f"{one:.3g}" for one in found.extra["cutoffs_tried"]["cutoff_hz"])
-    beyond = any(one.cutoff for one in found.parameters.values())
+    tried = " and ".join(f"{frequency:.3g}" for frequency in identification.extra["cutoffs_tried"]["cutoff_hz"])
+    beyond = any(estimate.cutoff for estimate in identification.parameters.values())
     held = "; 95 % ± holds what is beyond chance" if beyond else ", no more than chance"
     return f"cut-offs of {tried} Hz change {moved}{held}" if tried else "no other cut-off leaves enough of the record"
 
 
 def _written(number: float | None, places: int) -> str:
-    """``number`` with so many ``places``, or with an exponent where a column has no room for it or it would show as 0.
+    """Return ``number`` with ``places`` decimals, or with an exponent if it is too long or would show as 0.
 
     >>> _written(95.1089, 4), _written(3.001e-05, 9), _written(2e-08, 6)
     ('95.1089', '3.001e-05', '2.000e-08')
@@ -249,16 +251,17 @@ def _written(number: float | None, places: int) -> str:
     return f"{number:.3e}" if lost or places > MOST_PLACES else f"{number:.{places}f}"
 
 
-def _show_several(found: SeveralIdentifications) -> None:
+def _show_several(identifications: SeveralIdentifications) -> None:
     from emps_design.cli.output import new_console, new_table
     from emps_design.quantities import decimals
 
     console = new_console()
     headings = ("parameter", "mean", "spread", "std *", "drift/record", "unit")
-    title = f"{len(found.records)} records, {found.model} model, {found.estimator.replace('_', ' ')}"
+    estimator = identifications.estimator.replace("_", " ")
+    title = f"{len(identifications.records)} records, {identifications.model} model, {estimator}"
     table = new_table(title, *headings, words=("unit",), whole=True)
-    own = _rows_of(found.proposed)
-    for row in found.table():
+    own = _rows_of(identifications.proposed)
+    for row in identifications.table():
         n = decimals(max(abs(row["mean"]), row["std"]))
         table.add_row(
             row["name"] + (" +" if row["name"] in own else ""),
@@ -269,8 +272,8 @@ def _show_several(found: SeveralIdentifications) -> None:
             row["unit"],
         )
     console.print(table)
-    if found.proposed:
-        console.print(_why_proposed(found.proposed))
+    if identifications.proposed:
+        console.print(_why_proposed(identifications.proposed))
     console.print(
         "spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 % over all "
         "parameters together"
@@ -278,8 +281,10 @@ def _show_several(found: SeveralIdentifications) -> None:
     title = "force error [N rms]: identified on the row's record, judged on the column's"
     matrix = new_table(title, pad_edge=False, padding=(0, 1, 0, 0))
     matrix.add_column("", overflow="fold")
-    for number in range(1, len(found.records) + 1):
+    for number in range(1, len(identifications.records) + 1):
         matrix.add_column(str(number), justify="right", no_wrap=True)
-    for number, (name, row) in enumerate(zip(found.records, found.cross_validation, strict=True), 1):
+    for number, (name, row) in enumerate(
+        zip(identifications.records, identifications.cross_validation, strict=True), 1
+    ):
         matrix.add_row(f"{number} {name}", *(f"{value:.3f}" for value in row))
     console.print(matrix)

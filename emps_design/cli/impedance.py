@@ -58,10 +58,10 @@ def command(
     if force_sensor:
         refuse_ignored(context, ["unfiltered_current"], "goes without --force-sensor; (28) takes no current")
     machine = load_axis(axis)
-    mass = _given("--mass", "M_a [kg]", mass, machine.controller.mass)
-    damping = _given("--damping", "B [N/(m/s)]", damping, machine.controller.damping)
+    mass = _required("--mass", "M_a [kg]", mass, machine.controller.mass)
+    damping = _required("--damping", "B [N/(m/s)]", damping, machine.controller.damping)
     with progress_bar(not as_json or sys.stderr.isatty()) as progress:
-        found = assess_impedance(
+        assessment = assess_impedance(
             machine,
             mass,
             damping,
@@ -77,20 +77,20 @@ def command(
             coulomb_factor=coulomb_factor,
             force_sensor=force_sensor,
         )
-        document = add_advice(found.to_dict(), axis)
+        document = add_advice(assessment.to_dict(), axis)
     if as_json:
         print_json(document)
     else:
         _print(document)
-    if not found.stable:
-        tell(found.reason)
+    if not assessment.stable:
+        tell(assessment.reason)
     if not as_json:
         say_advice(document)
-    return 0 if found.stable else 4
+    return 0 if assessment.stable else 4
 
 
-def _given(option: str, what: str, asked: float | None, own: float | None) -> float:
-    value = own if asked is None else asked
+def _required(option: str, what: str, requested: float | None, own: float | None) -> float:
+    value = own if requested is None else requested
     if value is None:
         raise InputError(f"{option}: found none, expected {what}, here or in the axis's impedance controller")
     return value
@@ -117,26 +117,26 @@ def _print(document: dict[str, Any]) -> None:
         keys = ("apparent_mass", "apparent_damping", "coulomb_left")
         table.add_row(label, *(_three_digits(values[key]) for key in keys))
     console.print(table)
-    found = document.get("mismatch")
-    if found is not None:
-        table = Table("mismatch", f"+-{100 * found['mismatch']:g} %")
-        creep = found["creep_speed"]
-        free = found["creep_speed_exact_encoder"]
+    study = document.get("mismatch")
+    if study is not None:
+        table = Table("mismatch", f"+-{100 * study['mismatch']:g} %")
+        creep = study["creep_speed"]
+        free = study["creep_speed_exact_encoder"]
         ended = f" (the encoder ends one of {1e3 * free:.3g})" if free > creep else ""
         table.add_row("creep speed, mm/s", "unbounded" if math.isinf(creep) else f"{1e3 * creep:.3f}{ended}")
-        table.add_row("dead band, N", f"{found['dead_band']:.3f}")
-        factor = found["coulomb_factor_without_creep"]
+        table.add_row("dead band, N", f"{study['dead_band']:.3f}")
+        factor = study["coulomb_factor_without_creep"]
         table.add_row("Coulomb factor without creep", "none" if factor is None else f"{factor:.4f}")
-        low, high = found["stable_share_interval"]
+        low, high = study["stable_share_interval"]
         interval = "" if math.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
-        table.add_row("plants that come to rest", f"{100 * found['stable_share']:.2f} %{interval}")
-        table.add_row("neither unstable nor cycling", f"{100 * found['bounded_share']:.2f} %")
-        table.add_row("verdicts", ", ".join(f"{count} {name}" for name, count in found["verdicts"].items() if count))
-        worst = found["worst"]
+        table.add_row("plants that come to rest", f"{100 * study['stable_share']:.2f} %{interval}")
+        table.add_row("neither unstable nor cycling", f"{100 * study['bounded_share']:.2f} %")
+        table.add_row("verdicts", ", ".join(f"{count} {name}" for name, count in study["verdicts"].items() if count))
+        worst = study["worst"]
         errors = ", ".join(f"{name} {100 * value:+.2f} %" for name, value in worst["errors"].items())
         table.add_row("worst", f"{worst['verdict']} at {errors}")
-        for one in found["beyond"]:
-            table.add_row(f"corners with {one['what']}", one["verdict"])
+        for case in study["beyond"]:
+            table.add_row(f"corners with {case['what']}", case["verdict"])
         console.print(table, width=min(80, console.width))
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
@@ -150,7 +150,7 @@ def _print(document: dict[str, Any]) -> None:
 
 
 def _law_in_words(law: dict[str, Any]) -> str:
-    """The numbers of a law, with what is not as usual.
+    """Return the parameters of an impedance law in words; a parameter at its default is left out.
 
     >>> usual = {"filter": 500.0, "current_filter": 500.0, "stiffness": 0.0, "coulomb_factor": 1.0}
     >>> _law_in_words({"mass": 50.0, "damping": 100.0, "force_sensor": False, **usual})
@@ -169,7 +169,7 @@ def _law_in_words(law: dict[str, Any]) -> str:
 
 
 def _three_digits(value: float | None) -> str:
-    """``value`` in three significant digits, more before the point.
+    """Return ``value`` with three significant digits, or with one decimal from 100 on.
 
     >>> _three_digits(0.15), _three_digits(235.82), _three_digits(73.777), _three_digits(None)
     ('0.15', '235.8', '73.8', 'undefined')

@@ -10,7 +10,7 @@ import typer
 
 from emps_design.cli.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder, make_folder
 
-# What `puzzle.npz` has and `axis.toml` lacks: a ripple of so much force [N] on an ordinary axis, of such a period.
+# `puzzle.npz` has a ripple that `axis.toml` lacks: its force [N] on an axis like emps2019, its period [m or rad].
 AMPLITUDE, PERIOD = 2.0, {"linear": 0.0025, "rotary": 2.0 * math.pi / 500}
 
 STARTER = """# Start here
@@ -81,7 +81,7 @@ def command(
 
 
 def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> None:
-    """Write ``directory``/axis.toml with what ``trace`` tells, and say what is left to fill in."""
+    """Write ``directory``/axis.toml with what can be read from ``trace``, and list the keys that the user fills in."""
     from emps_design.cli.output import LOOKING, print_json, print_warnings, progress_bar, say
     from emps_design.errors import InputError
     from emps_design.files import write_text
@@ -92,18 +92,18 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
     path = directory / "axis.toml"
     if path.exists() and not force:
         raise InputError(f"{directory}: axis.toml exists already; choose another folder, or give --force")
-    found = read_trace(trace)
+    export = read_trace(trace)
     law = None
-    if found.record is not None and not found.guessed:
+    if export.record is not None and not export.guessed:
         with progress_bar() as progress:
             progress(LOOKING, 0.0)
-            law = identify_law(found.record, found.units.command_unit)
-    text = axis_text(found, law.to_toml() if law is not None and law.verdict == TOLD else "")
+            law = identify_law(export.record, export.units.command_unit)
+    text = axis_text(export, law.to_toml() if law is not None and law.verdict == TOLD else "")
     make_folder(directory, parents=True)
     write_text(path, text)
-    waiting = re.findall(r"^# (\w+) = ", text, re.MULTILINE)
-    record = found.record
-    warnings = [found.reason] if found.reason else []
+    to_fill_in = re.findall(r"^# (\w+) = ", text, re.MULTILINE)
+    record = export.record
+    warnings = [export.reason] if export.reason else []
     warnings += [] if record is None else record.warnings
     if as_json:
         print_json(
@@ -111,16 +111,16 @@ def _from_trace(trace: Path, directory: Path, force: bool, as_json: bool) -> Non
                 "directory": str(directory),
                 "files": ["axis.toml"],
                 "record": None if record is None else record.to_dict(),
-                "encoder_step": found.encoder_step,
-                "command_limit": found.limit,
+                "encoder_step": export.encoder_step,
+                "command_limit": export.limit,
                 "law": law,
-                "to_fill_in": waiting,
+                "to_fill_in": to_fill_in,
                 "warnings": warnings,
             }
         )
     else:
         if law is not None:
             say(f"Controller: {law.verdict}{f', {law.reason}' if law.reason else ''}")
-        say(f"{path}: fill in {', '.join(waiting)}")
+        say(f"{path}: fill in {', '.join(to_fill_in)}")
         say(f"Then: emps-design import {trace} --axis {path} --out record.npz")
     print_warnings(warnings)

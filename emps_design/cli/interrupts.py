@@ -1,9 +1,9 @@
-"""Signals that end the work: heard whatever it is at, over within two seconds, exit status 130.
+"""Interrupts: SIGINT, SIGTERM and SIGHUP end the process within two seconds, with exit status 130.
 
-Python acts on a signal between two of its own instructions; compiled code and linear algebra may be minutes away from
-the next one. So a thread listens too, and ends the process where it does not unwind in time.
+Python handles a signal between two of its own instructions; compiled code and linear algebra may take minutes to the
+next one. A second thread therefore waits for signals as well, and ends the process if it does not unwind in time.
 
-What an interrupted ``diagnose`` leaves: nothing in the folder that was asked for, what it knew by then beside it.
+An interrupted ``diagnose`` leaves the folder of ``--out`` as it was and writes what it knew beside it.
 """
 
 from __future__ import annotations
@@ -31,51 +31,51 @@ STATUS = 130
 GRACE = 1.5  # s, for the work to unwind by itself
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
-heard = threading.Event()  # set by the first of them
-_last_deeds: list[Callable[[], None]] = []
-_only_one = threading.Lock()
+interrupted = threading.Event()  # set by the first signal
+_final_actions: list[Callable[[], None]] = []
+_end_lock = threading.Lock()
 
 SCHEMA = "emps-design/partial-diagnosis/1"
 
 
-def listen() -> None:
-    """Let the signals in ``ENDING`` that are not ignored end this process, from now on."""
+def install_handlers() -> None:
+    """Let the signals in ``ENDING`` end this process, except those that are ignored already."""
     for number in ENDING:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup, and jobs in the background of a shell
-            signal.signal(number, _interrupt)
-    sys.excepthook, sys.unraisablehook = _excepted, _unraisable
-    reads, tells = os.pipe()
-    os.set_blocking(tells, False)
-    signal.set_wakeup_fd(tells, warn_on_full_buffer=False)
-    threading.Thread(target=_wait, args=(reads,), daemon=True).start()
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup and in background jobs of a shell
+            signal.signal(number, _on_signal)
+    sys.excepthook, sys.unraisablehook = _on_exception, _on_unraisable
+    read_end, write_end = os.pipe()
+    os.set_blocking(write_end, False)
+    signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
+    threading.Thread(target=_wait, args=(read_end,), daemon=True).start()
 
 
 @contextmanager
-def before_the_end(deed: Callable[[], None]) -> Iterator[None]:
-    """Do ``deed`` where the block is interrupted, once, whether it unwinds or not."""
+def on_interrupt(action: Callable[[], None]) -> Iterator[None]:
+    """Run ``action`` once if the block is interrupted, whether the block unwinds or not."""
     done = threading.Lock()
 
     def once() -> None:
         if done.acquire(blocking=False):
-            deed()
+            action()
 
-    _last_deeds.append(once)
+    _final_actions.append(once)
     try:
         yield
     except KeyboardInterrupt:
         once()
         raise
     finally:
-        _last_deeds.remove(once)
+        _final_actions.remove(once)
 
 
 def end() -> NoReturn:
-    """End this process here and now, with nothing half-written left; threads at work do not hold it up."""
-    if not _only_one.acquire(blocking=False):
+    """End this process now: run the final actions, remove unfinished files and do not wait for other threads."""
+    if not _end_lock.acquire(blocking=False):
         threading.Event().wait()  # the other thread is ending the process
     try:
-        for deed in tuple(_last_deeds):
-            deed()
+        for action in tuple(_final_actions):
+            action()
         discard_unfinished()
         sys.stdout.flush()
         sys.stderr.flush()
@@ -83,27 +83,27 @@ def end() -> NoReturn:
         os._exit(STATUS)
 
 
-def _interrupt(number: int, frame: object) -> None:
-    heard.set()
-    for ending in ENDING:  # one is enough: what removes files is not to be interrupted
+def _on_signal(number: int, frame: object) -> None:
+    interrupted.set()
+    for ending in ENDING:  # the removal of unfinished files must not be interrupted
         signal.signal(ending, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
-def _excepted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Say nothing of what an interrupt leads to in compiled code: numpy's imports print it and raise another error."""
-    if not heard.is_set():
+def _on_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Print no traceback after an interrupt: numpy's imports print it and raise another error."""
+    if not interrupted.is_set():
         sys.__excepthook__(kind, error, trace)
 
 
-def _unraisable(told: sys.UnraisableHookArgs) -> None:
-    """Say nothing of an interrupt that met a callback or left an object half made: `_wait` acts where nothing does."""
-    if not heard.is_set():
-        sys.__unraisablehook__(told)
+def _on_unraisable(arguments: sys.UnraisableHookArgs) -> None:
+    """Print nothing about an interrupt inside a callback or a constructor; :func:`_wait` then ends the process."""
+    if not interrupted.is_set():
+        sys.__unraisablehook__(arguments)
 
 
-def _wait(reads: int) -> None:
-    while not set(ENDING) & set(os.read(reads, 64)):
+def _wait(read_end: int) -> None:
+    while not set(ENDING) & set(os.read(read_end, 64)):
         continue
     time.sleep(GRACE)
     tell("interrupted")
@@ -111,7 +111,7 @@ def _wait(reads: int) -> None:
 
 
 class PartialDiagnosis:
-    """Remembers how far a diagnosis for the folder ``out`` is; ``write`` puts that into ``out`` with ``.partial``."""
+    """State of a running diagnosis for the folder ``out``; :meth:`write` saves it in the folder ``out.partial``."""
 
     def __init__(self, out: Path | None):
         named = out is None or out.name not in ("", "..")
@@ -119,8 +119,11 @@ class PartialDiagnosis:
         self.stage, self.share = "reading", 0.0
         self.axis: Axis | None = None
 
-    def hears(self, bar: Progress) -> Progress:
-        """``bar`` that ends the work where an interrupt was heard: the search would conclude from what it has."""
+    def track(self, bar: Progress) -> Progress:
+        """Return a progress callback that updates ``bar`` and this state, and raises after an interrupt.
+
+        Without the raise the search would swallow the interrupt and conclude from what it has.
+        """
 
         def progress(stage: str, share: float) -> None:
             self.stage, self.share = stage, share
@@ -129,13 +132,13 @@ class PartialDiagnosis:
 
         return progress
 
-    def knows(self, axis: Axis) -> None:
-        """Keep the model with which the search ended."""
+    def keep_model(self, axis: Axis) -> None:
+        """Keep the model that the search ended with."""
         self.axis = axis
         self._stop()
 
     def write(self) -> None:
-        """Write what is known, and say where."""
+        """Write the state and print the folder."""
         if self.folder is None:
             return
         document = {
@@ -160,5 +163,5 @@ class PartialDiagnosis:
             tell(f"what was known by then is in {self.folder}")
 
     def _stop(self) -> None:
-        if heard.is_set():
+        if interrupted.is_set():
             raise KeyboardInterrupt

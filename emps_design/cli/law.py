@@ -46,55 +46,57 @@ def command(
     read = [import_record(record, loaded) for record in records]
     with progress_bar() as progress:
         progress(LOOKING, 0.0)
-        found = identify_law(read, loaded.drive.command_unit)
-    if out is not None and found.controller is None:
-        raise InputError(f"{found.record}: {found.reason}; {out} is not written")
+        estimate = identify_law(read, loaded.drive.command_unit)
+    if out is not None and estimate.controller is None:
+        raise InputError(f"{estimate.record}: {estimate.reason}; {out} is not written")
     if out is not None:
-        write_text(out, found.to_toml())
-    document = add_advice(found.to_dict(), axis, records)
+        write_text(out, estimate.to_toml())
+    document = add_advice(estimate.to_dict(), axis, records)
     if as_json:
         print_json(document)
     else:
-        _show(found)
-    print_warnings(found.warnings)
+        _show(estimate)
+    print_warnings(estimate.warnings)
     if not as_json:
         say_advice(document)
 
 
-def _show(found: LawEstimate) -> None:
+def _show(estimate: LawEstimate) -> None:
     from rich import box
     from rich.table import Table
 
     from emps_design.cli.output import new_console, say
 
     console = new_console()
-    console.print(found.verdict, style="bold", end="")
-    console.print(f"  {found.reason}" if found.reason else "", highlight=False)
-    if found.controller is not None:
+    console.print(estimate.verdict, style="bold", end="")
+    console.print(f"  {estimate.reason}" if estimate.reason else "", highlight=False)
+    if estimate.controller is not None:
         say()
-        say(found.to_toml())
+        say(estimate.to_toml())
         table = Table(box=box.SIMPLE, pad_edge=False)
         for heading in ("number", "value", "std", "std [%]"):
             table.add_column(heading, justify="left" if heading == "number" else "right", no_wrap=True)
-        for name, value, std in found.numbers:
+        for name, value, std in estimate.numbers:
             percent = f"{abs(100 * std / value):.2g}" if value else ""
             table.add_row(name, f"{value:.7g}", f"{std:.2g}", percent)
         console.print(table)
-    elif found.closest is not None:
-        say(f"the closest law, which is not the machine's: {found.closest_in_words}")
-    if found.residual_rms is not None and found.residual_share is not None:
-        left = f"{found.residual_rms:.4g} {found.command_unit}".rstrip()
-        share = 100 * found.residual_share
-        own = f"; the record allows {found.allowed_rms:.4g}" if found.allowed_rms is not None else ""
-        console.print(f"leaves {left} rms, {share:.3g} % of the command's deviation{own}", highlight=False)
-    for note in found.notes:
+    elif estimate.closest is not None:
+        say(f"the closest law, which is not the machine's: {estimate.closest_in_words}")
+    if estimate.residual_rms is not None and estimate.residual_share is not None:
+        rms = f"{estimate.residual_rms:.4g} {estimate.command_unit}".rstrip()
+        share = 100 * estimate.residual_share
+        own = f"; the record allows {estimate.allowed_rms:.4g}" if estimate.allowed_rms is not None else ""
+        console.print(f"leaves {rms} rms, {share:.3g} % of the command's deviation{own}", highlight=False)
+    for note in estimate.notes:
         console.print(note, highlight=False)
-    if len(found.tried) > 1:
+    if len(estimate.tried) > 1:
         table = Table(box=box.SIMPLE, pad_edge=False, title="tried")
         table.add_column("structure", overflow="fold")
-        for heading in (f"left, whitened [{found.command_unit}]", "criterion", "apart [std]"):
+        for heading in (f"left, whitened [{estimate.command_unit}]", "criterion", "apart [std]"):
             table.add_column(heading, justify="right", no_wrap=True)
-        for one in found.tried:
-            apart = f"{one['apart']:.1f}"
-            table.add_row(one["terms"], f"{one['residual_rms']:.4g}", f"{one['criterion']:+.1f}", apart)
+        for candidate in estimate.tried:
+            apart = f"{candidate['apart']:.1f}"
+            table.add_row(
+                candidate["terms"], f"{candidate['residual_rms']:.4g}", f"{candidate['criterion']:+.1f}", apart
+            )
         console.print(table)

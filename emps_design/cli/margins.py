@@ -13,7 +13,7 @@ from emps_design.cli.options import (
     DelayRange,
     InertiaRange,
     Velocity,
-    load_range_asked_for,
+    load_range_from_options,
     within,
 )
 from emps_design.cli.output import add_advice, load_axis, new_console, new_table, print_json, say_advice, tell
@@ -32,18 +32,18 @@ def command(
 ) -> int:
     from emps_design.control.controller import controller_margins
 
-    span = load_range_asked_for(inertia_range, compliance_range, delay_range)
-    found = controller_margins(load_axis(axis), mismatch, span, velocity)
-    document = add_advice(found.to_dict(), axis)
+    span = load_range_from_options(inertia_range, compliance_range, delay_range)
+    margins = controller_margins(load_axis(axis), mismatch, span, velocity)
+    document = add_advice(margins.to_dict(), axis)
     if as_json:
         print_json(document)
     else:
         _print(document)
-    if not found.stable:
-        tell(found.reason)
+    if not margins.stable:
+        tell(margins.reason)
     if not as_json:
         say_advice(document)
-    return 0 if found.stable else 4
+    return 0 if margins.stable else 4
 
 
 def _print(document: dict[str, Any]) -> None:
@@ -76,15 +76,15 @@ def _print(document: dict[str, Any]) -> None:
     points = document.get("range", ())
     if points:
         table = new_table("On every machine asked about: phase margin, gain margin", "", *(f"{n} loop" for n in loops))
-        for one in points:
+        for point in points:
             cells = [
                 f"{number(loop['phase_margin_deg'], 3)} deg, {number(loop['gain_margin'], 3)}"
                 if loop["stable"]
                 else "unstable"
-                for loop in one["loops"].values()
+                for loop in point["loops"].values()
                 if loop is not None
             ]
-            table.add_row(where_in_words(one["where"]), *cells)
+            table.add_row(where_in_words(point["where"]), *cells)
         console.print(table)
     for warning in document["warnings"]:
         console.print(f"- {warning}", highlight=False)

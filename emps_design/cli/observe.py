@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from emps_design.records import Record
     from emps_design.units import Units
 
-LONG = 200_000  # samples from which on it is worth saying how far the work is
+LONG = 200_000  # samples from which on a progress bar is worth it
 
 
 def command(
@@ -62,15 +62,15 @@ def command(
     if injected is not None:
         read = with_known_push(read, _voltage(injected, read), loaded.supplied_by(read).drive.gain)
     with progress_bar(len(read) >= LONG) as progress:
-        found = observe(read, loaded, cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff, progress=progress)
+        observation = observe(read, loaded, cutoff_hz=cutoff, offline_cutoff_hz=offline_cutoff, progress=progress)
     if out is not None:
-        _write(out, found, loaded.units)
-    document = add_advice(found.to_dict(), axis, [record])
+        _write(out, observation, loaded.units)
+    document = add_advice(observation.to_dict(), axis, [record])
     if as_json:
         print_json(document)
     else:
-        _show(found)
-    for warning in found.warnings:
+        _show(observation)
+    for warning in observation.warnings:
         tell(warning)
     if not as_json:
         say_advice(document)
@@ -85,10 +85,10 @@ def _voltage(injected: str, record: Record) -> np.ndarray:
     name, _, factor = injected.rpartition(":")
     column = np.ravel(np.asarray(record.extra.get(name, ())))
     if column.dtype.kind not in "buif" or column.size != len(record):
-        one_a_sample = [key for key, values in record.extra.items() if np.size(values) == len(record)]
+        columns = [key for key, values in record.extra.items() if np.size(values) == len(record)]
         raise InputError(
             f"--injected: found {injected!r}, expected COLUMN:VOLTS with a further column of {record.name}: "
-            f"{', '.join(one_a_sample) or 'it has none'}"
+            f"{', '.join(columns) or 'it has none'}"
         )
     try:
         volts = float(factor)
@@ -97,27 +97,27 @@ def _voltage(injected: str, record: Record) -> np.ndarray:
     return volts * column
 
 
-def _write(out: Path, found: Observation, units: Units) -> None:
+def _write(out: Path, observation: Observation, units: Units) -> None:
     from emps_design.files import write_aside
 
-    names = ["t [s]", *(f"{name} [{units.unit('N')}]" for name in found.methods)]
-    columns = [found.t, *(result.force for result in found.methods.values())]
+    names = ["t [s]", *(f"{name} [{units.unit('N')}]" for name in observation.methods)]
+    columns = [observation.t, *(result.force for result in observation.methods.values())]
     with write_aside(out) as aside, aside.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(names) + "\n")
-        for start in range(0, len(found.t), LONG):
+        for start in range(0, len(observation.t), LONG):
             rows = zip(*(column[start : start + LONG].tolist() for column in columns), strict=True)
             file.writelines(",".join("" if x != x else f"{x:.9g}" for x in row) + "\n" for row in rows)
 
 
-def _show(found: Observation) -> None:
+def _show(observation: Observation) -> None:
     from emps_design.cli.output import new_console, new_table
     from emps_design.quantities import rounded
 
-    console, known = new_console(), found.f_ext is not None
-    title = f"External force of {found.record}, axis {found.axis}"
+    console, known = new_console(), observation.f_ext is not None
+    title = f"External force of {observation.record}, axis {observation.axis}"
     judged = ("rms error [N]", "away from edges [N]", "rise [ms]", "plateau") if known else ()
     table = new_table(title, "method", "delay [ms]", *judged, pad_edge=False)
-    for name, result in found.methods.items():
+    for name, result in observation.methods.items():
         cells = [f"{1e3 * result.delay:.2f}"]
         if known:
             steps = result.steps
@@ -129,12 +129,15 @@ def _show(found: Observation) -> None:
             ]
         table.add_row(name, *cells)
     console.print(table)
-    spans = (f"{name} {one.reliable[0]:.3f} to {one.reliable[1]:.3f} s" for name, one in found.methods.items())
+    spans = (
+        f"{name} {estimate.reliable[0]:.3f} to {estimate.reliable[1]:.3f} s"
+        for name, estimate in observation.methods.items()
+    )
     console.print(f"known from and to, filters settle before and after: {', '.join(spans)}")
-    first = next(iter(found.methods.values()))
+    first = next(iter(observation.methods.values()))
     if known:
         console.print(f"errors: from {first.judged[0]:.2f} to {first.judged[1]:.2f} s, against the force of the moment")
-    for name, result in found.methods.items():
+    for name, result in observation.methods.items():
         least = result.smallest
         bounds = ", ".join(f"{_word(bound)} {rounded(value)} N" for bound, value in least.bounds.items())
         console.print(

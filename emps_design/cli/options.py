@@ -1,12 +1,9 @@
-"""Options that commands share: frequencies, the specification, the gains at hand, and what the loop acts in.
+"""Options that several commands share, and the checks of them.
 
-How a frequency (30Hz) or a ratio (6dB) is read from the command line; a bare number is in the option's own unit.
-
-An option that what was asked for would not read is refused: nobody is left to think that it did something.
-
-Options that the design commands share: the specification, and numbers instead of the axis's own.
-
-Options that say what the gains of a velocity loop act in, what is around it, and which loads it has to hold for.
+A frequency may be written as 30Hz or 370rad/s, a ratio as 6dB; a bare number is in the option's own unit.
+An option that the command would ignore in combination with the others is refused.
+The design commands share the specification of the velocity loop, numbers that replace those of the axis, the structure
+and filters of the loop, the position loop around it, and the range of loads that the gains have to hold for.
 """
 
 from __future__ import annotations
@@ -38,33 +35,33 @@ def _read(read: Callable[[str], float], metavar: str) -> dict[str, Any]:
     def parse(text: str) -> float:
         try:
             return read(text)
-        except InputError as error:  # a ValueError would lose its words
+        except InputError as error:  # click would drop the text of a ValueError
             raise typer.BadParameter(str(error)) from error
 
     return {"parser": parse, "metavar": metavar}
 
 
-# Of an option that asks for a frequency: typer.Option(**RAD_S, help="... [rad/s, or such as 30Hz]").
+# Arguments of an option that is a frequency: typer.Option(**RAD_S, help="... [rad/s, or such as 30Hz]").
 RAD_S, HERTZ = (_read(partial(read_frequency, unit=unit), "FREQUENCY") for unit in ("rad/s", "Hz"))
 RATIO = _read(read_ratio, "RATIO")
 
 
 def refuse_ignored(context: typer.Context, options: Iterable[str], why: str) -> None:
-    """Raise :class:`InputError` with ``why`` where one of ``options`` (parameter names) is on the command line."""
+    """Raise :class:`InputError` with ``why`` if one of ``options`` (parameter names) is on the command line."""
     flags = {option.name: max(option.opts, key=len) for option in context.command.params}
-    given = [name for name in options if getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE"]
-    if given:
-        raise InputError(f"{', '.join(flags[name] for name in given)}: {why}")
+    ignored = [name for name in options if getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE"]
+    if ignored:
+        raise InputError(f"{', '.join(flags[name] for name in ignored)}: {why}")
 
 
 def refuse_force(context: typer.Context, *outputs: object) -> None:
-    """Refuse ``--force`` where none of ``outputs`` is to be written."""
+    """Refuse ``--force`` if all of ``outputs`` are None."""
     if all(output is None for output in outputs):
         refuse_ignored(context, ["force"], "goes with a file to write; there is none to overwrite")
 
 
 def within(unit: str) -> Any:
-    """The ``callback`` of an option in ``unit``: refuses, in one line, a number that no machine has."""
+    """Return the ``callback`` of an option in ``unit``: it refuses a number outside the plausible range of the unit."""
 
     def check(option: typer.CallbackParam, value: float | None) -> float | None:
         name = f"--{(option.name or '').replace('_', '-')}"
@@ -104,10 +101,10 @@ ComputationDelay = Annotated[int | None, typer.Option(help="instead of the axis'
 Estimator = Annotated[str | None, typer.Option(help="two_tap, backward, slope:POINTS, filtered:HZ or tracking:RAD/S")]
 
 
-def estimator_given(text: str | None) -> Any:
-    """A velocity estimator as an axis file has it, from a name or ``kind:number``; checked with the axis.
+def estimator_from_text(text: str | None) -> Any:
+    """Return a velocity estimator as in an axis file from a name or ``kind:number``; the axis checks it.
 
-    >>> estimator_given("slope:4"), estimator_given("two_tap"), estimator_given("filtered:300")
+    >>> estimator_from_text("slope:4"), estimator_from_text("two_tap"), estimator_from_text("filtered:300")
     ({'kind': 'slope', 'points': 4}, 'two_tap', {'kind': 'filtered', 'frequency': 300.0})
     """
     kind, colon, number = (text or "").partition(":")
@@ -121,9 +118,9 @@ def estimator_given(text: str | None) -> Any:
 
 
 def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:
-    """Return the axis with the numbers given on the command line (those not None), checked like a file's.
+    """Return ``axis`` with the numbers of the command line (those not None), checked like those of a file.
 
-    A force gain of one's own takes the place of the data sheet's product.
+    ``force_gain`` replaces the product of current gain, reduction and torque constant.
 
     >>> from emps_design.machines import machine
     >>> with_numbers(machine("emps2018"), mechanics={"mass": 90.0, "viscous": None}).mechanics.viscous
@@ -131,21 +128,21 @@ def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:
     """
     document = axis.to_dict()
     for name, table in tables.items():
-        given = {key: value for key, value in table.items() if value is not None}
-        if "force_gain" in given:
+        replacements = {key: value for key, value in table.items() if value is not None}
+        if "force_gain" in replacements:
             for key in ("current_gain", "reduction", "torque_constant"):
                 document["drive"].pop(key, None)
-        document[name] = {**document.get(name, {}), **given}
+        document[name] = {**document.get(name, {}), **replacements}
     return Axis.from_dict(document, axis.name)
 
 
 def write_axis(path: Path, axis: Axis) -> str:
-    """Write ``axis`` as TOML to ``path``, whole or not at all, and return the path for the document."""
+    """Write ``axis`` as TOML to ``path``, whole or not at all, and return the path as text."""
     write_text(path, axis.to_toml())
     return str(path)
 
 
-NOTCH = {"damping": 0.5, "depth": 0.1}  # where only its frequency is given
+NOTCH = {"damping": 0.5, "depth": 0.1}  # defaults of a notch with a frequency alone
 EXPECTED = "lowpass:350Hz, notch:48Hz, notch:48Hz:DAMPING:DEPTH or none"
 
 StructureOption = Annotated[
@@ -186,7 +183,7 @@ ComplianceRange = Annotated[
 DelayRange = Annotated[str | None, typer.Option(metavar="LOW:HIGH", help="delay on top to hold over [s]")]
 
 
-def position_loop_asked_for(
+def position_loop_from_options(
     design: VelocityLoopDesign,
     overshoot: float | None,
     bandwidth: float | None,
@@ -194,27 +191,27 @@ def position_loop_asked_for(
     kp: float | None,
     every: int | None,
 ) -> PositionLoopDesign | None:
-    """The position loop around ``design`` that the command line asks for, None where it asks for none."""
-    wanted = {"overshoot": overshoot, "bandwidth": bandwidth, "stiffness": stiffness, "kp": kp}
-    given = {name: value for name, value in wanted.items() if value is not None}
-    if not given:
+    """Return the position loop around ``design`` that the command line specifies, or None."""
+    options = {"overshoot": overshoot, "bandwidth": bandwidth, "stiffness": stiffness, "kp": kp}
+    requested = {name: value for name, value in options.items() if value is not None}
+    if not requested:
         return None
-    if len(given) > 1:
-        raise InputError(f"position loop: found {' and '.join(given)}, expected one of {', '.join(wanted)}")
+    if len(requested) > 1:
+        raise InputError(f"position loop: found {' and '.join(requested)}, expected one of {', '.join(options)}")
     from emps_design.control.position import design_position_loop
 
     own = (design.axis.controller.position or {}).get("every", 1)
-    ((name, value),) = given.items()
+    ((name, value),) = requested.items()
     return design_position_loop(design, name, value, own if every is None else every)
 
 
-def load_range_asked_for(inertia: str | None, compliance: str | None, delay: str | None) -> LoadRange | None:
-    """The range of loads of the command line, None where it has none."""
+def load_range_from_options(inertia: str | None, compliance: str | None, delay: str | None) -> LoadRange | None:
+    """Return the range of loads that the command line specifies, or None."""
     from emps_design.control.velocity.load_range import LoadRange
 
     texts = {"inertia": inertia, "compliance": compliance, "delay": delay}
-    given = {name: _ends(name, text) for name, text in texts.items() if text is not None}
-    return LoadRange(**given) if given else None
+    ranges = {name: _ends(name, text) for name, text in texts.items() if text is not None}
+    return LoadRange(**ranges) if ranges else None
 
 
 def _ends(name: str, text: str) -> tuple[float, float]:
@@ -225,22 +222,22 @@ def _ends(name: str, text: str) -> tuple[float, float]:
     return low, high
 
 
-def structure_asked_for(context: typer.Context, axis: Axis, form: str | None, reference_filter: bool) -> Structure:
-    """The structure that the command line asks for, or the one of the controller of ``axis``."""
+def structure_from_options(context: typer.Context, axis: Axis, form: str | None, reference_filter: bool) -> Structure:
+    """Return the structure that the command line specifies, or that of the controller of ``axis``."""
     from emps_design.control.velocity.gains import Structure, own_structure
 
-    found = own_structure(axis, None if form is None else Structure(form))
-    if found.form == "ip":
+    structure = own_structure(axis, None if form is None else Structure(form))
+    if structure.form == "ip":
         refuse_ignored(context, ["reference_filter"], "goes with --structure pi; ip has no zero to take away")
-    return replace(found, reference_filter=reference_filter)
+    return replace(structure, reference_filter=reference_filter)
 
 
-def filters_asked_for(texts: list[str] | None) -> tuple[Any, ...] | None:
-    """The filters of the command line in their order; None where there are none there.
+def filters_from_options(texts: list[str] | None) -> tuple[Any, ...] | None:
+    """Return the filters of the command line in their order, or None if it has none.
 
-    >>> filters_asked_for(["lowpass:350Hz", "notch:48Hz:0.6:0.2"])[1].depth
+    >>> filters_from_options(["lowpass:350Hz", "notch:48Hz:0.6:0.2"])[1].depth
     0.2
-    >>> filters_asked_for(["none"])
+    >>> filters_from_options(["none"])
     ()
     """
     if not texts:

@@ -1,15 +1,8 @@
-"""What every command shares: JSON and tables on standard output, progress and warnings on standard error.
+"""Output of every command: JSON and tables on standard output, progress and warnings on standard error.
 
-The arguments that the library's messages name, as the flags of this command line.
-
-What the library says, in the words of this command line and of the axis it is about.
-
-The library writes for a linear axis that is told a voltage, and names `arguments`. One command runs in one process and
-is about one axis, so everything that is printed passes :func:`in_words`.
-
-The advice on what a command found: a key of its document, and the last line that people read.
-
-A signal on one line of a terminal.
+The library writes its messages for a linear axis with a voltage as command, and names arguments between backquotes. A
+process runs one command on one axis, so everything printed passes :func:`in_words`, which puts in the flags of this
+command line and the units of that axis. The advice on a result is a key of the document and the last line printed.
 """
 
 from __future__ import annotations
@@ -63,7 +56,7 @@ FLAGS = {
     "window": "--time",
     "with_": "--with",
 }
-# A report identifies too; its own --filter is that of the impedance law.
+# A report identifies as well; its own --filter is that of the impedance law.
 FLAGS_OF = {
     "report": {
         "cutoff": "--cutoff of 'identify'",
@@ -73,11 +66,11 @@ FLAGS_OF = {
     }
 }
 
-_at_hand = [Units()]
+_units = [Units()]  # those of the axis that the command is about
 _words: list[str] = []  # of the command line, from the name of the command on
-_asked: list[tuple[str, float, str]] = []  # numbers of the command line, until the axis says their units
+_unchecked: list[tuple[str, float, str]] = []  # options with units that only the axis tells: name, number, unit
 
-LOOKING = "looking for the controller that made the record"  # what law and init --from take their time for
+LOOKING = "looking for the controller that made the record"  # the stage that law and init --from show
 NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title", "next")
 MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
 
@@ -105,69 +98,59 @@ def in_flags(text: str, command: str = "") -> str:
 
 
 def load_axis(name_or_path: str | Path) -> Axis:
-    """The axis of that name or file; what is printed from here on is in its units."""
+    """Return the axis of that name or file, and print in its units from here on."""
     from emps_design.machines import load_axis
 
     axis = load_axis(name_or_path)
-    speak(axis.units)
+    set_units(axis.units)
     return axis
 
 
 def begin(words: Sequence[str]) -> None:
-    """Forget the axis and the numbers of the command before the one that begins, with these ``words``."""
-    _at_hand[0], _words[:] = Units(), words
-    _asked.clear()
+    """Start a command with these ``words`` of the command line: forget units and options of the one before."""
+    _units[0], _words[:] = Units(), words
+    _unchecked.clear()
 
 
-def at_hand() -> tuple[str, ...]:
-    """The words of the command at hand, its name first."""
-    return tuple(_words)
-
-
-def speak(units: Units) -> None:
-    """Print in ``units`` from here on; :class:`InputError` for an option, met before, that no machine has in them."""
-    _at_hand[0] = units
-    while _asked:
-        units.check(*_asked.pop(0), positive=True)
+def set_units(units: Units) -> None:
+    """Print in ``units`` from here on, and check the options that waited for them; :class:`InputError` if one fails."""
+    _units[0] = units
+    while _unchecked:
+        units.check(*_unchecked.pop(0), positive=True)
 
 
 def check_option(name: str, value: float, base: str) -> float:
-    """Check ``value`` [``base``] of the option ``name``: now, or once the axis is known that says what ``base`` is."""
+    """Check ``value`` [``base``] of the option ``name``: now, or in :func:`set_units` if the axis decides the unit."""
     if Units("rotary").unit(base) == base:
         return Units().check(name, value, base, positive=True)
-    _asked.append((name, value, base))
+    _unchecked.append((name, value, base))
     return value
 
 
 def in_words(text: str) -> str:
-    """``text`` of the library with flags for arguments, in the units and words of the axis at hand."""
-    return in_command(_at_hand[0].text(text))
+    """Return ``text`` of the library with flags for arguments, in the units and words of the axis."""
+    return in_command(_units[0].text(text))
 
 
 def in_command(text: str) -> str:
-    """``text`` of the library with the flags of the command at hand for arguments."""
+    """Return ``text`` of the library with the flags of the running command for arguments."""
     return in_flags(text, _words[0] if _words else "")
 
 
-def in_units(value: str) -> str:
-    """A text of a JSON document in the units and words of the axis at hand; a single word of it is a name."""
-    return _at_hand[0].value(value)
-
-
-def for_reader(size: float, base: str) -> tuple[str, float]:
-    """The unit in which ``size`` [SI of ``base``] is shown to a reader of the axis at hand, and the factor to it."""
-    return _at_hand[0].display(size, base)
+def display_unit(size: float, base: str) -> tuple[str, float]:
+    """Return the unit in which ``size`` [SI of ``base``] is shown for this axis, and the factor to it."""
+    return _units[0].display(size, base)
 
 
 def plain(value: Any, key: str = "") -> Any:
     """Return ``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
 
-    Texts are in the units of the axis at hand, but for names; arguments that a message names become flags.
+    Texts other than names are in the units of the axis; arguments that a message names become flags.
     """
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
     if isinstance(value, str):
-        value = value if key in NAMES else in_units(value)
+        value = value if key in NAMES else _units[0].value(value)
         return in_command(value) if key in MESSAGES else value
     if isinstance(value, dict):
         return {str(name): plain(item, str(name)) for name, item in value.items()}
@@ -183,7 +166,7 @@ def plain(value: Any, key: str = "") -> Any:
 
 
 def json_text(document: Any) -> str:
-    """Return ``document`` as JSON; what a terminal would take for an order is escaped.
+    """Return ``document`` as JSON; control characters of a terminal are escaped.
 
     >>> print(json_text({"name": "é\\x9b31m", "gain": math.inf}))
     {
@@ -196,12 +179,12 @@ def json_text(document: Any) -> str:
 
 
 def _printable(line: str) -> str:
-    """``line`` with what is not printable in it escaped."""
+    """Return ``line`` with unprintable characters escaped."""
     return "".join(c if c.isprintable() else _escaped(c) for c in line)
 
 
 def _escaped(character: str) -> str:
-    """One character as JSON escapes it: its UTF-16 units."""
+    """Return the JSON escape of one character: its UTF-16 units."""
     units = character.encode("utf-16-be", "surrogatepass").hex()
     return "".join(f"\\u{units[i : i + 4]}" for i in range(0, len(units), 4))
 
@@ -215,12 +198,12 @@ def print_json(document: Any) -> None:
 
 
 def say(text: object = "") -> None:
-    """Print ``text`` on standard output; what in it is no text (names may hold anything) is shown as ``?``."""
+    """Print ``text`` on standard output; unprintable characters, which names may hold, are shown as ``?``."""
     print(printable(in_words(str(text))))
 
 
 def show(text: str) -> None:
-    """Print ``text`` of the user's own files on standard output: in their words, but for what is no text."""
+    """Print ``text`` of the user's own files on standard output: unchanged but for unprintable characters."""
     print(printable(text))
 
 
@@ -236,7 +219,7 @@ def print_warnings(warnings: Iterable[str]) -> None:
 
 
 def new_console() -> Console:
-    """Return a console for tables on standard output, to which text is text: no markup, no escape sequences in it."""
+    """Return a console for tables on standard output that prints text without markup or escape sequences."""
     from rich.console import Console
 
     class Plain(Console):
@@ -247,9 +230,9 @@ def new_console() -> Console:
 
 
 def new_table(title: str, *headings: str, words: Collection[str] = (), whole: bool = False, **look: Any) -> Table:
-    """Return a table with ``headings``: the first column and ``words`` are text, the others numbers, set to the right.
+    """Return a table with ``headings``: the first column and those in ``words`` are text, the others right-aligned.
 
-    ``whole``: no cell is broken over lines; ``look`` is of :class:`rich.table.Table`.
+    ``whole``: no cell is broken over lines; ``look`` goes to :class:`rich.table.Table`.
     """
     from rich import box
     from rich.table import Table
@@ -262,7 +245,7 @@ def new_table(title: str, *headings: str, words: Collection[str] = (), whole: bo
 
 @contextmanager
 def progress_bar(show: bool = True) -> Iterator[Progress]:
-    """Give a ``progress(stage, fraction)`` that draws on standard error: a bar, or one line per stage."""
+    """Yield a ``progress(stage, fraction)`` that draws on standard error: a bar, or one line per stage."""
     if not show:
         yield no_progress
     elif sys.stderr.isatty():
@@ -279,11 +262,11 @@ def progress_bar(show: bool = True) -> Iterator[Progress]:
             task = bar.add_task("", total=1.0)
             yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
     else:
-        seen: list[str] = []
+        stages: list[str] = []
 
         def report(stage: str, fraction: float) -> None:
-            if not seen or seen[-1] != stage:
-                seen.append(stage)
+            if not stages or stages[-1] != stage:
+                stages.append(stage)
                 tell(stage)
 
         yield report
@@ -292,23 +275,22 @@ def progress_bar(show: bool = True) -> Iterator[Progress]:
 def add_advice(
     document: dict[str, Any], axis: str | Path | None = None, records: Iterable[str | Path] = ()
 ) -> dict[str, Any]:
-    """Return the ``document`` of the command at hand, given those files, with its advice."""
-    words = at_hand()
-    found = advise(words[0], document, words, None if axis is None else str(axis), [str(record) for record in records])
-    return {**document, "advice": _in_flags(found).to_dict()}
+    """Return the ``document`` of the running command, which read those files, with its advice."""
+    files = [str(record) for record in records]
+    advice = advise(_words[0], document, tuple(_words), None if axis is None else str(axis), files)
+    return {**document, "advice": _in_flags(advice).to_dict()}
 
 
 def advice_on_error(error: EmpsError) -> Advice | None:
-    """The advice where the command at hand ends with ``error``; None where that says nothing about a design."""
-    words = at_hand()
-    if error.exit_code not in (3, 4) or not words:
+    """Return the advice when the running command ends with ``error``, or None if that is not about a design."""
+    if error.exit_code not in (3, 4) or not _words:
         return None
     nearest = getattr(error, "nearest", {})
-    return _in_flags(advise_on_error(words[0], error.exit_code, str(error), nearest, words))
+    return _in_flags(advise_on_error(_words[0], error.exit_code, str(error), nearest, tuple(_words)))
 
 
-def _in_flags(found: Advice) -> Advice:
-    return Advice(found.level, in_command(found.text), found.next)
+def _in_flags(advice: Advice) -> Advice:
+    return Advice(advice.level, in_command(advice.text), advice.next)
 
 
 def say_advice(document: dict[str, Any]) -> None:
@@ -318,7 +300,7 @@ def say_advice(document: dict[str, Any]) -> None:
 
 
 def sparkline(values: np.ndarray, width: int = 60, encoding: str = "utf-8") -> str:
-    """Draw ``values`` (n,) in ``width`` characters, the lowest at the bottom; plain ones where no others can be shown.
+    """Draw the means of ``values`` (n,) in ``width`` characters, plain ones if ``encoding`` has no blocks.
 
     >>> import numpy as np
     >>> sparkline(np.arange(100.0), 8), sparkline(np.ones(5), 3), sparkline(np.arange(9.0), 4, "ascii")

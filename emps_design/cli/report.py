@@ -58,18 +58,18 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
-    from emps_design.cli.output import load_axis, print_json, progress_bar, say, say_advice, speak, tell
+    from emps_design.cli.output import load_axis, print_json, progress_bar, say, say_advice, set_units, tell
     from emps_design.errors import UnstableError
     from emps_design.files import write_aside
     from emps_design.report.assemble import assemble_report, has_impedance_law
     from emps_design.units import Units
 
-    given = None if axis is None else load_axis(axis)
-    if given is None:
-        speak(Units())
+    loaded = None if axis is None else load_axis(axis)
+    if loaded is None:
+        set_units(Units())
     if record is None:
         refuse_ignored(context, ["design_on", "model", "record_filter"], "goes with --record")
-    if mass is None and damping is None and not (given is not None and has_impedance_law(given)):
+    if mass is None and damping is None and not (loaded is not None and has_impedance_law(loaded)):
         refuse_ignored(context, ["filter", "mismatch"], "goes with the impedance law: --mass and --damping")
     if crossover is None and bandwidth is None:
         crossover = 100.0

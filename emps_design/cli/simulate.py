@@ -11,7 +11,7 @@ import typer
 from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
 from emps_design.cli.options import refuse_force, refuse_ignored, within
 
-# The options that each scenario reads, besides those that all of them do.
+# The options that each scenario uses, beside those common to all.
 SCENARIOS = {
     "replay": ("record", "out", "plot"),
     "reference": ("reference", "out", "plot"),
@@ -20,8 +20,22 @@ SCENARIOS = {
     "bench": ("tau_ref", "seed"),
 }
 
-# Keys of a result that are shown elsewhere, or by --json alone.
-APART = ("run", "study", "law", "task", "units", "warnings", "scenario", "axis", "effort", "headline", "reason")
+# Keys that the table leaves out: they are printed elsewhere, or by --json alone.
+OUTSIDE_TABLE = (
+    "run",
+    "study",
+    "law",
+    "task",
+    "units",
+    "warnings",
+    "scenario",
+    "axis",
+    "effort",
+    "headline",
+    "reason",
+    "advice",
+    "worst_loop",
+)
 
 
 def command(
@@ -70,9 +84,9 @@ def command(
     if scenario not in SCENARIOS:
         from emps_design.errors import nearest_name
 
-        found = f"found {scenario!r}" if scenario else "nothing to do"
+        problem = f"found {scenario!r}" if scenario else "nothing to do"
         raise InputError(
-            f"--scenario: {found}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, tuple(SCENARIOS))}"
+            f"--scenario: {problem}, expected one of {', '.join(SCENARIOS)}{nearest_name(scenario, tuple(SCENARIOS))}"
         )
     _refuse_ignored(context, scenario)
     refuse_force(context, out, plot)
@@ -109,9 +123,9 @@ def command(
 
 
 def _refuse_ignored(context: typer.Context, scenario: str) -> None:
-    """Raise for an option on the command line that ``scenario`` would not read."""
+    """Refuse options on the command line that ``scenario`` would ignore."""
     for name in dict.fromkeys(option for options in SCENARIOS.values() for option in options):
-        readers = [one for one, options in SCENARIOS.items() if name in options]
+        readers = [user for user, options in SCENARIOS.items() if name in options]
         if scenario not in readers:
             refuse_ignored(context, [name], f"goes with --scenario {' or '.join(readers)}, found {scenario}")
 
@@ -165,19 +179,19 @@ def _comanipulation(
 
 
 def _bench(seed: int, tau_ref: float | None) -> Any:
-    from emps_design.cli.output import progress_bar, speak
+    from emps_design.cli.output import progress_bar, set_units
     from emps_design.paper import reproduce_section_3
     from emps_design.paper.virtual_bench import numbers
     from emps_design.units import Units
 
-    speak(Units())
+    set_units(Units())
     with progress_bar() as progress:
-        given = numbers() if tau_ref is None else numbers(tau_ref=tau_ref)
-        return reproduce_section_3(seed, given, progress)
+        bench = numbers() if tau_ref is None else numbers(tau_ref=tau_ref)
+        return reproduce_section_3(seed, bench, progress)
 
 
 def _check(out: Path | None, plot: Path | None, inputs: tuple[str | Path | None, ...], force: bool) -> None:
-    """Refuse a name that cannot be written, or that says another format than there is."""
+    """Refuse output names with an unknown suffix, and files that must not be overwritten."""
     from emps_design.errors import InputError
 
     for option, path, kinds in (("--out", out, {".npz": ARCHIVE, ".csv": TABLE}), ("--plot", plot, PICTURES)):
@@ -228,42 +242,28 @@ def _show_bench(document: dict[str, Any]) -> None:
         console.print(table)
     table = new_table("Errors [N], least and largest of ten", "", "found", "printed", words=("found", "printed"))
     for key, title in (("rms_1", "identification"), ("rms_2", "observation"), ("rms_direct", "direct validation")):
-        found = document[key]
-        table.add_row(title, f"{min(found):.2f} to {max(found):.2f}", "{:g} to {:g}".format(*printed[key]))
-    forth = document["break_away"][0]
-    table.add_row("break-away forth", f"{forth:.2f}", f"{printed['break_away']:g}")
+        errors = document[key]
+        table.add_row(title, f"{min(errors):.2f} to {max(errors):.2f}", "{:g} to {:g}".format(*printed[key]))
+    force = document["break_away"][0]
+    table.add_row("break-away forth", f"{force:.2f}", f"{printed['break_away']:g}")
     console.print(table)
 
 
 def _rows(document: dict[str, Any], units: dict[str, str], before: tuple[str, ...] = ()) -> list[tuple[str, str, str]]:
     """Name, value and unit of each number; ``units`` has a unit by the name of a quantity, or of a group of them."""
-    from emps_design.cli.output import for_reader
+    from emps_design.cli.output import display_unit
 
     rows: list[tuple[str, str, str]] = []
     for key, value in document.items():
         path = (*before, key)
-        if key in (
-            "run",
-            "study",
-            "law",
-            "task",
-            "units",
-            "warnings",
-            "scenario",
-            "axis",
-            "effort",
-            "headline",
-            "reason",
-            "advice",
-            "worst_loop",
-        ):
+        if key in OUTSIDE_TABLE:
             continue
         if isinstance(value, dict):
             rows += _rows(value, units, path)
         elif not isinstance(value, list) or value:
             base = next((units[name] for name in path if name in units), "")
             if isinstance(value, float) and math.isfinite(value):
-                unit, factor = for_reader(value, base)
+                unit, factor = display_unit(value, base)
                 text = f"{factor * value:.6g}"
             elif value is None or isinstance(value, float):
                 unit, text = "", "-"

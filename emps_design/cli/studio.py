@@ -36,6 +36,6 @@ def command(
 
     try:
         serve(loaded, record, port, ready)
-        raise KeyboardInterrupt  # the server hears Ctrl-C itself, and nothing else ends it
+        raise KeyboardInterrupt  # the server handles Ctrl-C itself, and nothing else ends it
     except OSError as error:
         raise InputError(f"--port: cannot listen on 127.0.0.1:{port}, {error.strerror}; choose another or 0") from error

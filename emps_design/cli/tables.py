@@ -1,8 +1,7 @@
-"""Text output of the design commands: tables with units, what was asked beside what is achieved.
+"""Text output of the design commands: tables with units, the specification beside what is achieved.
 
-Text output of what stands around a velocity loop: a filter that pays, a position loop, a range of loads.
-
-Text output of a loop on measured responses: each margin with its 95 % band, and the worst of several.
+It covers the velocity loop, a suggested filter, the position loop around it, the range of loads, the force loop, and
+the margins on measured responses with their 95 % bands.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ ROWS = (
 
 
 def number(value: float | None, digits: int = 4, nothing: str = "unbounded") -> str:
-    """A number in ``digits`` significant digits, ``nothing`` for None.
+    """Return a number with ``digits`` significant digits, ``nothing`` for None.
 
     >>> number(556.7656), number(None)
     ('556.8', 'unbounded')
@@ -42,7 +41,7 @@ def number(value: float | None, digits: int = 4, nothing: str = "unbounded") -> 
 
 
 def print_gains(document: dict[str, Any]) -> None:
-    """Print what ``gains`` found: the verdict first, then gains, margins at each place, and what is asked next."""
+    """Print the document of ``gains``: the verdict first, then gains, margins at each place, limits and structures."""
     console = new_console()
     sampled = document["sampled"]
     console.print(_verdict(document["stable"], what_is_judged(document)), soft_wrap=True)
@@ -57,7 +56,7 @@ def print_gains(document: dict[str, Any]) -> None:
     ]
 
     gains = new_table("Velocity loop; ideal: closed forms", "", "value", "unit", "requested")
-    asked = {} if document["retuned"] else document["requested"]
+    ideal = {} if document["retuned"] else document["requested"]
     for label, key, unit in (
         ("k_v1, kp of a drive", "k_v1", "V/(m/s)"),
         ("t_v, Tn of a drive", "t_v", "s"),
@@ -67,20 +66,20 @@ def print_gains(document: dict[str, Any]) -> None:
     readings = [("sampled", sampled["velocity_error"]), *([("with lags", lagged)] if len(left_out) > 1 else [])]
     for words, reading in (*readings, ("ideal", document)):
         for label, key, unit in (("crossover", "crossover", "rad/s"), ("phase margin", "phase_margin_deg", "deg")):
-            wanted = number(asked[key]) if key in asked else ""
+            requested = number(ideal[key]) if key in ideal else ""
             missing = "unbounded" if reading.get("stable", True) else "unstable"
-            gains.add_row(f"{label} of T_vo, {words}", number(reading[key], 6, missing), unit, wanted)
+            gains.add_row(f"{label} of T_vo, {words}", number(reading[key], 6, missing), unit, requested)
     for label, key, unit in (
         ("bandwidth of T_vc, ideal, -3 dB", "bandwidth", "rad/s"),
         ("natural frequency w_0v, ideal", "omega_0v", "rad/s"),
         ("damping ratio z_v, ideal", "z_v", ""),
     ):
-        gains.add_row(label, number(document[key], 6), unit, number(asked[key]) if key in asked else "")
+        gains.add_row(label, number(document[key], 6), unit, number(ideal[key]) if key in ideal else "")
     console.print(gains)
 
-    wanted = document["requested"] if document["retuned"] else {}
-    asks = ["asked"] if wanted else []
-    margins = new_table("Margins of the velocity loop", "", *(name for name, _ in places), *asks, "unit")
+    sampled_limits = document["requested"] if document["retuned"] else {}
+    heading = ["asked"] if sampled_limits else []
+    margins = new_table("Margins of the velocity loop", "", *(name for name, _ in places), *heading, "unit")
     margins.columns[0].no_wrap = True
     unlimited = {"gain_reduction_margin": "none"}
     for label, key, unit, scale in (
@@ -104,13 +103,14 @@ def print_gains(document: dict[str, Any]) -> None:
             for _, place in places
         ]
         if key != "gain_reduction_margin" or any(place[key] is not None for _, place in places):
-            asked_for = [number(scale * wanted[key]) if key in wanted else ""] if wanted else []
-            margins.add_row(label, *cells, *asked_for, unit)
+            limit = [number(scale * sampled_limits[key]) if key in sampled_limits else ""] if sampled_limits else []
+            margins.add_row(label, *cells, *limit, unit)
     for unit, scale in (("rad/s", 1.0), ("Hz", 0.5 / math.pi)):
         bandwidth = sampled["bandwidth"]
         own = number(bandwidth and scale * bandwidth, nothing="unbounded" if sampled["stable"] else "undefined")
         cells = [own, *[""] * (len(places) - 3), number(scale * document["bandwidth"]), ""]
-        cells += [number(scale * wanted["bandwidth"]) if "bandwidth" in wanted else ""] if wanted else []
+        limit = [number(scale * sampled_limits["bandwidth"]) if "bandwidth" in sampled_limits else ""]
+        cells += limit if sampled_limits else []
         margins.add_row("bandwidth, -3 dB" if unit == "rad/s" else "", *cells, unit)
     console.print(margins)
     console.print("sampled: everything is in it" + "; with lags: without the sampling" * (len(left_out) > 1))
@@ -141,7 +141,7 @@ def print_gains(document: dict[str, Any]) -> None:
 
 
 def what_is_judged(document: dict[str, Any]) -> str:
-    """What the verdict of ``gains`` is about: the loops, and the machines on which they run."""
+    """Return the subject of the verdict of ``gains``: the loops, and the machines on which they run."""
     parts = [f"{document['axis']}: sampled velocity loop, {loop_in_words(document)}"]
     if "position_loop" in document:
         parts.append("with the position loop around it")
@@ -154,7 +154,7 @@ def what_is_judged(document: dict[str, Any]) -> str:
 
 
 def worst_in_words(worst: dict[str, Any]) -> str:
-    """The worst loop of ``gains``, on which machine it is, and what it has."""
+    """Return the worst loop of a design in words: its name, the machine it is on, and its margins."""
     from emps_design.control.nested_loops import where_in_words
 
     has = "unstable"
@@ -165,38 +165,38 @@ def worst_in_words(worst: dict[str, Any]) -> str:
 
 
 def loop_in_words(document: dict[str, Any]) -> str:
-    """Structure and filters of a velocity loop.
+    """Return structure and filters of a velocity loop in words.
 
     >>> filters = [{"kind": "lowpass", "frequency": 350.0}]
     >>> loop_in_words({"structure": "pi", "reference_filter": False, "filters": filters})
     'PI with lowpass 350 Hz'
     """
     parts = ["reference filter"] if document["reference_filter"] else []
-    for one in document["filters"]:
-        shape = f" (damping {one['damping']:g}, depth {one['depth']:g})" if one["kind"] == "notch" else ""
-        parts.append(f"{one['kind']} {one['frequency']:g} Hz{shape}")
+    for table in document["filters"]:
+        shape = f" (damping {table['damping']:g}, depth {table['depth']:g})" if table["kind"] == "notch" else ""
+        parts.append(f"{table['kind']} {table['frequency']:g} Hz{shape}")
     return document["structure"].upper() + (f" with {', '.join(parts)}" if parts else "")
 
 
 def _print_structures(console: Console, document: dict[str, Any]) -> None:
-    """What each structure makes of the same gains, the one of the design marked."""
+    """Print bandwidth and overshoot of the same gains in each structure, with a mark at that of the design."""
     table = new_table("The same gains in each structure", "", "-3 dB", "overshoot", "sampled", "overshoot")
-    for one in document["structures"]:
-        own = (one["structure"], one["reference_filter"]) == (document["structure"], document["reference_filter"])
-        sampled = one["sampled"]
-        cells = [f"{one['bandwidth'] / (2.0 * math.pi):.4g} Hz", f"{one['overshoot_percent']:.3g} %"]
+    for row in document["structures"]:
+        own = (row["structure"], row["reference_filter"]) == (document["structure"], document["reference_filter"])
+        sampled = row["sampled"]
+        cells = [f"{row['bandwidth'] / (2.0 * math.pi):.4g} Hz", f"{row['overshoot_percent']:.3g} %"]
         if sampled:
             bandwidth = sampled["bandwidth"]
             cells.append("undefined" if bandwidth is None else f"{bandwidth / (2.0 * math.pi):.4g} Hz")
             cells.append(f"{sampled['overshoot_percent']:.3g} %")
         else:
             cells += ["unstable"] * 2
-        table.add_row(f"{'>' if own else ' '} {one['label']}", *cells)
+        table.add_row(f"{'>' if own else ' '} {row['label']}", *cells)
     console.print(table)
 
 
 def print_force(document: dict[str, Any]) -> None:
-    """Print what ``force`` found: stability first, then the limits of k_e1, margins and poles."""
+    """Print the document of ``force``: stability first, then the limits of k_e1, margins and poles."""
     console = new_console()
     what = f"{document['axis']}: sampled force loop, around a velocity loop that runs without contact too,"
     console.print(_verdict(document["stable"], what), soft_wrap=True)
@@ -225,8 +225,8 @@ def print_force(document: dict[str, Any]) -> None:
     margins = document["margins"]
     phase, crossover = number(margins["phase_margin_deg"]), margins["crossover"]
     at = f"phase {phase} deg at {number(crossover)} rad/s" if crossover is not None else f"phase {phase}: no crossover"
-    found = f"gain {number(margins['gain_margin'])}, {at}" if margins["stable"] else "undefined, the loop is unstable"
-    console.print(f"margins of the sampled force loop: {found}")
+    words = f"gain {number(margins['gain_margin'])}, {at}" if margins["stable"] else "undefined, the loop is unstable"
+    console.print(f"margins of the sampled force loop: {words}")
     poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
     console.print(f"continuous poles: {poles} rad/s")
     reading = document["paper_reading"]
@@ -267,7 +267,7 @@ def _verdict(stable: bool, what: str) -> Text:
 
 
 def new_table(title: str, *columns: str) -> Table:
-    """A table whose columns hold numbers but for the first and the units."""
+    """Return a table with numbers in all columns but the first and the units."""
     table = Table(title=title, min_width=len(title), title_justify="left", title_style="bold", header_style="")
     for place, column in enumerate(columns):
         numeric = place > 0 and column not in ("unit",)
@@ -281,7 +281,7 @@ def _print_warnings(console: Console, warnings: list[str]) -> None:
 
 
 def print_around(document: dict[str, Any]) -> None:
-    """Print what ``gains`` found around its velocity loop, where that was asked for."""
+    """Print the parts of the document of ``gains`` beyond the velocity loop, as far as they were requested."""
     if "suggestion" in document:
         _print_suggestion(document["suggestion"])
     if "position_loop" in document:
@@ -292,14 +292,15 @@ def print_around(document: dict[str, Any]) -> None:
         _print_load_range(document["load_range"])
 
 
-def _print_suggestion(found: dict[str, Any]) -> None:
+def _print_suggestion(suggestion: dict[str, Any]) -> None:
     console = new_console()
-    one, sides = found["filter"], [("without", found["without"])]
-    if one is not None:
-        words = loop_in_words({"structure": "", "reference_filter": False, "filters": [one]}).removeprefix(" with ")
-        sides += [(f"{words}, equal margins", found["with_equal_margins"]), (words, found["with"])]
-    least = number(found["gain_margin_at_least"])
-    title = f"Fastest loop with {number(found['phase_margin_deg'])} deg and a gain margin of {least} or more"
+    table_of_filter, sides = suggestion["filter"], [("without", suggestion["without"])]
+    if table_of_filter is not None:
+        loop = {"structure": "", "reference_filter": False, "filters": [table_of_filter]}
+        words = loop_in_words(loop).removeprefix(" with ")
+        sides += [(f"{words}, equal margins", suggestion["with_equal_margins"]), (words, suggestion["with"])]
+    least = number(suggestion["gain_margin_at_least"])
+    title = f"Fastest loop with {number(suggestion['phase_margin_deg'])} deg and a gain margin of {least} or more"
     table = new_table(title, "", *(name for name, _ in sides), "unit")
     for label, key, unit, scale in (
         ("crossover", "crossover", "Hz", 1.0 / HERTZ),
@@ -312,7 +313,7 @@ def _print_suggestion(found: dict[str, Any]) -> None:
         table.add_row(label, *(_cell(side[key], scale) for _, side in sides), unit)
     for label, key in (("gain margin", "gain_margin"), ("disk margin", "disk_margin")):
         table.add_row(label, *(_cell(side["margins"] and side["margins"][key], 1.0) for _, side in sides), "ratio")
-    if "model" in found:
+    if "model" in suggestion:
         for label, key, unit in (
             ("on the data: phase margin", "phase_margin_deg", "deg"),
             ("gain margin", "gain_margin", "ratio"),
@@ -320,13 +321,13 @@ def _print_suggestion(found: dict[str, Any]) -> None:
         ):
             table.add_row(label, *(_on_data(side, key) for _, side in sides), unit)
     console.print(table)
-    if "model" in found:
-        console.print(f"found on {found['model']}, then tried on the data", highlight=False, soft_wrap=True)
+    if "model" in suggestion:
+        console.print(f"found on {suggestion['model']}, then tried on the data", highlight=False, soft_wrap=True)
     for name, side in sides:
         console.print(f"what binds first, {name}: {side['limits']['binding']}", highlight=False, soft_wrap=True)
-    if found.get("these_gains"):
-        console.print(found["these_gains"], highlight=False, soft_wrap=True)
-    if one is None:
+    if suggestion.get("these_gains"):
+        console.print(suggestion["these_gains"], highlight=False, soft_wrap=True)
+    if table_of_filter is None:
         console.print("no notch or low-pass makes it a tenth faster")
 
 
@@ -335,73 +336,74 @@ def _on_data(side: dict[str, Any], key: str) -> str:
     return "-" if measured is None else _cell(measured[key], 1.0) if measured["stable"] else "UNSTABLE"
 
 
-def _print_position_loop(found: dict[str, Any]) -> None:
+def _print_position_loop(design: dict[str, Any]) -> None:
     console = new_console()
-    ((wanted, value),) = found["requested"].items()
-    rate = "sample" if found["every"] == 1 else f"{found['every']} samples"
+    ((requested, value),) = design["requested"].items()
+    rate = "sample" if design["every"] == 1 else f"{design['every']} samples"
     table = new_table(f"Position loop, once every {rate}", "", "value", "unit", "requested")
-    table.add_row("kp", number(found["kp"], 6), "1/s", "")
+    table.add_row("kp", number(design["kp"], 6), "1/s", "")
     for label, key, name, unit in (
         ("overshoot of a step", "overshoot_percent", "overshoot", "%"),
         ("bandwidth, -3 dB", "bandwidth", "bandwidth", "rad/s"),
         ("step of force over displacement", "stiffness", "stiffness", "N/m"),
     ):
-        table.add_row(label, _cell(found[key], 1.0), unit, number(value) if name == wanted else "")
-    for one in found["loops"]:
-        cells = [_cell(one[key], 1.0) if one["stable"] else "unstable" for key in ("phase_margin_deg", "gain_margin")]
-        table.add_row(f"{one['name']}: phase margin", cells[0], "deg", "")
+        table.add_row(label, _cell(design[key], 1.0), unit, number(value) if name == requested else "")
+    for loop in design["loops"]:
+        cells = [_cell(loop[key], 1.0) if loop["stable"] else "unstable" for key in ("phase_margin_deg", "gain_margin")]
+        table.add_row(f"{loop['name']}: phase margin", cells[0], "deg", "")
         table.add_row("    gain margin", cells[1], "ratio", "")
     console.print(table)
-    if found["following_error"] is None:
+    if design["following_error"] is None:
         return
     errors = new_table(
         "Following error", "feed-forward", "along a velocity [s]", "an acceleration [s^2]", "a jerk [s^3]"
     )
-    for name, one in found["following_error"].items():
-        errors.add_row(name, *(f"{one[key]:.3g}" for key in ("velocity", "acceleration", "jerk")))
+    for name, error in design["following_error"].items():
+        errors.add_row(name, *(f"{error[key]:.3g}" for key in ("velocity", "acceleration", "jerk")))
     console.print(errors)
 
 
 def _print_kept_loops(loops: list[dict[str, Any]]) -> None:
     headings = ("", "broken at the", "phase [deg]", "gain", "delay [ms]")
     table = new_table("With the axis file's position loop around it", *headings)
-    for one in loops:
+    for loop in loops:
         shown = (("phase_margin_deg", 1.0), ("gain_margin", 1.0), ("delay_margin", 1e3))
-        cells = [_cell(one[key], scale) for key, scale in shown] if one["stable"] else ["unstable", "", ""]
-        table.add_row(one["name"], one["broken"], *cells)
+        cells = [_cell(loop[key], scale) for key, scale in shown] if loop["stable"] else ["unstable", "", ""]
+        table.add_row(loop["name"], loop["broken"], *cells)
     new_console().print(table)
 
 
-def _print_load_range(found: dict[str, Any]) -> None:
-    console, at = new_console(), found["at"].replace("-", " ")
+def _print_load_range(load_range: dict[str, Any]) -> None:
+    console, at, points = new_console(), load_range["at"].replace("-", " "), load_range["points"]
     columns = [
-        (f"{at}: phase", "phase_margin_deg", lambda one: one),
-        ("crossover", "crossover", lambda one: one),
-        *([] if at == "plant input" else [("plant input: phase", "phase_margin_deg", lambda one: one["plant_input"])]),
-        ("gain", "gain_margin", lambda one: one["plant_input"]),
+        (f"{at}: phase", "phase_margin_deg", lambda point: point),
+        ("crossover", "crossover", lambda point: point),
+        *([] if at == "plant input" else [("plant input: phase", "phase_margin_deg", lambda p: p["plant_input"])]),
+        ("gain", "gain_margin", lambda point: point["plant_input"]),
         *[
-            (f"{loop['name']}: phase", "phase_margin_deg", lambda one, place=place: one["loops"][place])
-            for place, loop in enumerate(found["points"][0]["loops"])
+            (f"{loop['name']}: phase", "phase_margin_deg", lambda point, place=place: point["loops"][place])
+            for place, loop in enumerate(points[0]["loops"])
             if place > 0
         ],
     ]
     title = "Margins of these gains over the range, sampled"
-    vary = [name for name in ("inertia", "compliance", "delay") if len({one[name] for one in found["points"]}) > 1]
+    vary = [name for name in ("inertia", "compliance", "delay") if len({point[name] for point in points}) > 1]
     table = new_table(title, *(vary or ["inertia"]), *(name for name, _, _ in columns))
-    for one in found["points"]:
-        places = [(place(one), key) for _, key, place in columns]
-        cells = [_cell(place[key], 1.0) if place["stable"] else "unstable" for place, key in places]
-        values = {"inertia": number(one["inertia"]), "compliance": number(one["compliance"])}
-        values["delay"] = f"{1e3 * one['delay']:.3g} ms"
+    for point in points:
+        margins = [(margins_of(point), key) for _, key, margins_of in columns]
+        cells = [_cell(loop[key], 1.0) if loop["stable"] else "unstable" for loop, key in margins]
+        values = {"inertia": number(point["inertia"]), "compliance": number(point["compliance"])}
+        values["delay"] = f"{1e3 * point['delay']:.3g} ms"
         table.add_row(*(values[name] for name in vary or ["inertia"]), *cells)
     console.print(table)
     crossover = f"slowest crossover at the {at} [rad/s]"
-    gains = new_table("Gains that hold", "inertia", "k_v1, kp [V/(m/s)]", "t_v, Tn [s]", crossover)
-    for name, one in [("all", found["one"]), *((number(step["inertia"]), step["gains"]) for step in found["schedule"])]:
-        cells = [number(one[key], 5) for key in ("k_v1", "t_v", "slowest_crossover")] if one else ["none"] * 3
-        gains.add_row(name, *cells)
-    console.print(gains)
-    console.print(found["text"], highlight=False, soft_wrap=True)
+    table = new_table("Gains that hold", "inertia", "k_v1, kp [V/(m/s)]", "t_v, Tn [s]", crossover)
+    schedule = [(number(step["inertia"]), step["gains"]) for step in load_range["schedule"]]
+    for name, gains in [("all", load_range["one"]), *schedule]:
+        cells = [number(gains[key], 5) for key in ("k_v1", "t_v", "slowest_crossover")] if gains else ["none"] * 3
+        table.add_row(name, *cells)
+    console.print(table)
+    console.print(load_range["text"], highlight=False, soft_wrap=True)
 
 
 def _cell(value: float | None, scale: float) -> str:
@@ -409,7 +411,7 @@ def _cell(value: float | None, scale: float) -> str:
 
 
 def print_measured(measured: dict[str, Any], loop: str = "velocity loop") -> None:
-    """Print what ``gains`` found on measured responses, ``document["measured"]``, for this ``loop``."""
+    """Print the margins of ``loop`` on measured responses: ``measured`` is the document of ``gains`` on them."""
     from rich import box
 
     console = new_console()
@@ -417,8 +419,8 @@ def print_measured(measured: dict[str, Any], loop: str = "velocity loop") -> Non
     table = Table(title=title, title_justify="left", box=box.SIMPLE)
     table.add_column("")
     responses = measured["responses"]
-    for one in responses:
-        table.add_column(one["name"] if one["stable"] else f"{one['name']}: UNSTABLE", justify="right")
+    for response in responses:
+        table.add_column(response["name"] if response["stable"] else f"{response['name']}: UNSTABLE", justify="right")
     if len(responses) > 1:
         table.add_column("worst", justify="right")
     table.add_column("unit")
@@ -426,12 +428,12 @@ def print_measured(measured: dict[str, Any], loop: str = "velocity loop") -> Non
     if limits:
         table.add_column("asked for", justify="right")
     for label, key, unit, scale in ROWS:
-        if key not in limits and all(one[key] is None for one in responses):
+        if key not in limits and all(response[key] is None for response in responses):
             continue
-        cells = [_with_band(one[key], one["bands"][key], scale) for one in responses]
+        cells = [_with_band(response[key], response["bands"][key], scale) for response in responses]
         worst = [_with_band(measured[key], None, scale)] if len(responses) > 1 else []
-        asked = [f"at most {limits[key]:.4g}" if key in limits else ""] if limits else []
-        table.add_row(label, *cells, *worst, unit, *asked)
+        limit = [f"at most {limits[key]:.4g}" if key in limits else ""] if limits else []
+        table.add_row(label, *cells, *worst, unit, *limit)
     console.print(table)
     console.print("in brackets: 95 % band from the data's deviations; below, above: the first antiresonance")
 

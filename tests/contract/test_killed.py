@@ -24,10 +24,10 @@ def test_an_error_that_an_interrupt_ends_in_is_that_interrupt(monkeypatch, capsy
     from emps_design.cli import app, interrupts
 
     def interrupted(arguments):
-        interrupts.heard.set()
+        interrupts.interrupted.set()
         raise TypeError("incompatible function arguments")
 
-    monkeypatch.setattr(interrupts, "heard", type(interrupts.heard)())
+    monkeypatch.setattr(interrupts, "interrupted", type(interrupts.interrupted)())
     monkeypatch.setattr(app, "_application", lambda arguments: lambda **given: interrupted(given))
     assert app.run(["gains"]) == 130
     assert capsys.readouterr().err.strip() == "emps-design: interrupted"
@@ -38,7 +38,7 @@ import os, signal, time
 from ctypes import CFUNCTYPE
 from emps_design.cli import app, interrupts
 interrupts.GRACE = 0.1
-interrupts.listen()
+interrupts.install_handlers()
 CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM))()
 time.sleep(60)
 """
@@ -54,7 +54,7 @@ INTO_AN_IMPORT = """
 import signal, sys
 import numpy
 from emps_design.cli import interrupts
-interrupts.listen()
+interrupts.install_handlers()
 
 class Kills:
     def find_spec(self, name, path=None, target=None):
