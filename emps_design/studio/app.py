@@ -1,10 +1,7 @@
-"""One session of the studio: the tabs, and what passes between them.
+"""The studio's server, page and session: access, frame and style, and the tabs with the state they share.
 
-Who may talk to the studio: a browser of this machine, by a name of this machine, with the token of its address.
-
-A page of any other site can make a browser ask 127.0.0.1, by a name that leads there; it cannot know the token.
-
-The studio's page: its frame and its style, around the tabs.
+Only a browser on this machine has access, by a name of this machine and with the token in the printed address: a page
+of another site can make a browser ask 127.0.0.1, but it cannot know the token.
 """
 
 from __future__ import annotations
@@ -42,7 +39,7 @@ header.studio small { font-weight: 400; margin-left: 12px; opacity: .9; }
 main.studio { padding: 6px 10px 16px; }
 """
 
-# What Bokeh leaves without a name or out of a key's reach: handles of sliders, figures, downloads.
+# Names and keyboard access for what Bokeh leaves without: handles of sliders, figures, downloads.
 SCRIPT = """
 function nameAndReach(root) {
   for (const element of root.querySelectorAll('*')) {
@@ -90,35 +87,35 @@ TEMPLATE = (
 """
 )
 
-RECORD_AXIS = "emps2019"  # the machine that records are taken for where no axis of their own is named
+RECORD_AXIS = "emps2019"  # axis of the records unless the user names one
 HOST = "127.0.0.1"
 TABS = ("Design", "Motion", "Simulation", "Data", "Compensation", "Files")
 
 
 def guard(server: Server) -> str:
-    """Let ``server`` answer only where host, origin and token are right; return what its address ends in."""
+    """Let ``server`` answer only requests with the right host, origin and token; return the suffix of its address."""
     application, token, cookie = server._tornado, secrets.token_urlsafe(24), f"emps-design-{server.port}"
     find = application.find_handler
 
     def find_handler(request: HTTPServerRequest, **options: Any) -> Any:
         if not local(request.headers, server.port):
             return application.get_handler_delegate(request, Refused, {"why": "by this name the studio is not there"})
-        given = request.query_arguments.get("token", [b""])[-1]
-        kept = request.cookies[cookie].value.encode() if cookie in request.cookies else b""
-        if not any(hmac.compare_digest(one, token.encode()) for one in (given, kept)):
+        from_address = request.query_arguments.get("token", [b""])[-1]
+        from_cookie = request.cookies[cookie].value.encode() if cookie in request.cookies else b""
+        if not any(hmac.compare_digest(sent, token.encode()) for sent in (from_address, from_cookie)):
             why = "open the whole address that the studio printed, with its token"
             return application.get_handler_delegate(request, Refused, {"why": why})
-        found = find(request, **options)
-        if given and hasattr(found, "handler_class"):
-            found.handler_class = _leaving(found.handler_class, cookie, token)
-        return found
+        delegate = find(request, **options)
+        if from_address and hasattr(delegate, "handler_class"):
+            delegate.handler_class = _with_cookie(delegate.handler_class, cookie, token)
+        return delegate
 
     application.find_handler = find_handler  # type: ignore[method-assign]
     return f"/?token={token}"
 
 
 def local(headers: Any, port: int | None) -> bool:
-    """Whether ``Host``, and ``Origin`` where there is one, are names of this machine at ``port``.
+    """Whether ``Host``, and ``Origin`` if sent, name this machine at ``port``.
 
     >>> local({"Host": "localhost:80"}, 80), local({"Host": "rebound.example:80"}, 80)
     (True, False)
@@ -130,41 +127,41 @@ def local(headers: Any, port: int | None) -> bool:
 
 
 class Refused(RequestHandler):
-    """Any request that is not let in: 403 and one sentence."""
+    """Handler of a refused request: status 403 and one sentence."""
 
     def initialize(self, why: str) -> None:
-        """Keep ``why``, the sentence."""
+        """Keep the sentence ``why``."""
         self.why = why
 
     def prepare(self) -> None:
-        """Answer before any method of the request is looked at."""
+        """Answer whatever the method of the request."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"emps-design studio: {self.why}\n")
 
     def check_xsrf_cookie(self) -> None:
-        """There is nothing to protect."""
+        """Check nothing: there is nothing to protect."""
 
 
-def _leaving(handler: type[RequestHandler], cookie: str, token: str) -> type[RequestHandler]:
-    """``handler`` that leaves the token with the browser, for what the page asks for next."""
+def _with_cookie(handler: type[RequestHandler], cookie: str, token: str) -> type[RequestHandler]:
+    """Return ``handler`` with the token set as a cookie, for the requests that the page makes next."""
 
-    class Leaving(handler):  # type: ignore[misc,valid-type]
+    class WithCookie(handler):  # type: ignore[misc,valid-type]
         def set_default_headers(self) -> None:
             """Set the cookie beside the handler's own headers."""
             super().set_default_headers()
             self.set_cookie(cookie, token, httponly=True, samesite="Lax", path="/")
 
-    return Leaving
+    return WithCookie
 
 
 def prepare() -> None:
-    """Tell Panel what the page needs; everything is served from this machine."""
+    """Load the extensions of Panel that the page needs; everything is served from this machine."""
     pn.extension("filedropper", inline=False, notifications=False)
 
 
 def page(root: pn.viewable.Viewable) -> pn.Template:
-    """Put ``root`` into the frame."""
+    """Return the page with ``root`` in its frame."""
     template = pn.Template(TEMPLATE)
     template.add_panel("studio", root)
     return template
@@ -188,7 +185,7 @@ class Session:
         own = axis.name if axis.name not in machine_names() else RECORD_AXIS
         self.data = DataView(
             lambda: self.design.machines, own, lambda: self.state, self.design.turn, self.design.add_axis, record,
-            another=lambda: self.motion.show(self.state),
+            record_changed=lambda: self.motion.show(self.state),
         )  # fmt: skip
         self.compensation = CompensationView(lambda: self.state)
         self.files = FilesView(lambda: self.state, lambda: self.data.measured, self._loaded)
@@ -217,15 +214,15 @@ class Session:
         self.data.show(state)
 
     def _axis_opened(self, axis: Axis) -> None:
-        """Design on an axis from a file, and take the records to come for ones of it."""
+        """Design on an axis from a file, and read the next records with it."""
         self.design.add_axis(axis)
         if self.data.record is None:
             self.data.of(axis)
 
     def _loaded(self, state: State) -> None:
         if state.pinned is not None:
-            velocity_design(state.pinned)  # what cannot be designed is refused before anything changes
-        if state.axis.name not in machine_names():  # those stay what they are: a state may have changed their clock
+            velocity_design(state.pinned)  # raises before anything changes if it cannot be designed
+        if state.axis.name not in machine_names():  # keep the embedded ones: a state may have changed their clock
             self.design.machines[state.axis.name] = state.axis
         self.design.machine.options = list(self.design.machines)
         self.design.machine.value = state.axis.name
@@ -237,10 +234,10 @@ class Session:
 def serve(
     axis: Axis, record: str | Path | None = None, port: int = 0, ready: Callable[[str], None] | None = None
 ) -> None:
-    """Serve the studio on 127.0.0.1 until it is interrupted; ``ready(address)`` is called once it listens.
+    """Serve the studio on 127.0.0.1 until it is interrupted; call ``ready(address)`` once it listens.
 
-    ``port`` 0 takes a free one. Raises :class:`RecordError` for a record that cannot be read and :class:`OSError` for
-    a port that is taken, before serving.
+    ``port`` 0 takes a free one. Before serving, raises :class:`RecordError` for a record that cannot be read and
+    :class:`OSError` for a port in use.
     """
     from emps_design.importing import import_record
     from emps_design.studio.data_view import LIMIT_MB
@@ -261,10 +258,10 @@ def serve(
         websocket_max_message_size=2 * LIMIT_MB * 2**20,
         websocket_origin=None,
     )
-    ending = guard(server)
+    suffix = guard(server)
     server.start()
     if ready is not None:
-        ready(f"http://{HOST}:{server.port}{ending}")
+        ready(f"http://{HOST}:{server.port}{suffix}")
     try:
         server.io_loop.start()
     finally:

@@ -1,4 +1,4 @@
-"""The compensation tab: choose what is fed forward, see the tracking error with and without, take the folder home."""
+"""The compensation tab: choose the feed-forward terms, compare the tracking errors, download the files for a drive."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class CompensationView:
 
     def __init__(self, state: Callable[[], State]):
         self._state, self._axis = state, state().axis
-        self.found: Compensation | None = None
+        self.compensation: Compensation | None = None
         self.terms = pn.widgets.CheckBoxGroup(label="Terms", inline=True, margin=(8, 6))
         self.terms.param.watch(lambda event: self._withdraw(), "value")
         self.controller = pn.widgets.Select(label="Controller", options=[DESIGN], width=200, margin=(4, 6))
@@ -52,29 +52,31 @@ class CompensationView:
             margin=(4, 6), disabled=True, stylesheets=[BUTTON],
         )  # fmt: skip
         self.job = Job()
-        self.message, self.left, self.table, self.picture = html(), html(), html(INTRODUCTION), html()
+        self.message, self.not_compensated = html(), html()
+        self.table, self.picture = html(INTRODUCTION), html()
         self.view = pn.Column(
-            html("<h3>Terms</h3>"), self.terms, self.left, self.controller, pn.Row(self.run, self.download, margin=0),
-            self.job.view,
+            html("<h3>Terms</h3>"), self.terms, self.not_compensated, self.controller,
+            pn.Row(self.run, self.download, margin=0), self.job.view,
             self.message, self.table, self.picture, sizing_mode="stretch_width",
         )  # fmt: skip
         self._offer()
 
     def show(self, state: State) -> None:
-        """Offer the terms of the axis of ``state`` where that is another than before."""
-        if state.axis != self._axis or (self.found is not None and self._controlled(state) != self.found.axis):
+        """Offer the terms of the axis of ``state`` if the axis or its controller has changed."""
+        shown = self.compensation
+        if state.axis != self._axis or (shown is not None and self._controlled(state) != shown.axis):
             self._axis = state.axis
             self._offer()
 
     def _controlled(self, state: State) -> Axis | None:
-        """The axis that would be compensated; None where its design is refused."""
+        """The axis that would be compensated, or None if its design is refused."""
         try:
             return self._chosen(state)
         except EmpsError:
             return None
 
     def _chosen(self, state: State) -> Axis:
-        """The axis of ``state`` with the controller that is chosen; :class:`EmpsError` where its design is refused."""
+        """The axis of ``state`` with the chosen controller; :class:`EmpsError` if its design is refused."""
         return state.axis if self.controller.value == OWN else designed(state)
 
     def _offer(self) -> None:
@@ -84,18 +86,18 @@ class CompensationView:
             own = False
         chosen = self.controller.value if own else DESIGN
         self.controller.param.update(options=[DESIGN, OWN] if own else [DESIGN], value=chosen)
-        possible, left = terms_of(self._axis)
+        possible, excluded = terms_of(self._axis)
         self.terms.options = {name.replace("_", " "): name for name in possible}
         self.terms.value = list(possible)
-        self.left.object = "".join(
-            message(f"{name.replace('_', ' ')} is not compensated: {why}", "note") for name, why in left.items()
+        self.not_compensated.object = "".join(
+            message(f"{name.replace('_', ' ')} is not compensated: {why}", "note") for name, why in excluded.items()
         )
         self._withdraw()
 
     def _withdraw(self) -> None:
-        """Show no result: the one before was of other terms, or of another axis."""
+        """Remove the result: it was of other terms or of another axis."""
         self.job.stop()
-        self.found, self.download.disabled = None, True
+        self.compensation, self.download.disabled = None, True
         self.message.object, self.table.object, self.picture.object = "", INTRODUCTION, ""
 
     def _start(self) -> None:
@@ -111,41 +113,41 @@ class CompensationView:
             progress("each term in closed loop", 0.2)
             return compensate(axis, terms=terms)
 
-        def done(found: Compensation) -> None:
+        def done(compensation: Compensation) -> None:
             if (self._axis, tuple(self.terms.value)) == (state.axis, terms):
-                self._done(found)
+                self._done(compensation)
 
         self.job.start(work, done, lambda text: self._say(text, "stop"))
 
-    def _done(self, found: Compensation) -> None:
-        self.found, self.download.disabled = found, False
-        ratio = found.without / found.achieved if found.achieved > 0.0 else float("inf")
-        said_above = tuple(f"{name} is not compensated" for name in found.not_compensated)
-        more = [line for line in found.warnings if not line.startswith(said_above)]
-        more += [f"{ON_ERROR.capitalize()}."] * bool(found.feedforward.terms)
-        advice = advise("compensate", found.to_dict())
+    def _done(self, compensation: Compensation) -> None:
+        self.compensation, self.download.disabled = compensation, False
+        ratio = compensation.without / compensation.achieved if compensation.achieved > 0.0 else float("inf")
+        shown_above = tuple(f"{name} is not compensated" for name in compensation.not_compensated)
+        more = [line for line in compensation.warnings if not line.startswith(shown_above)]
+        more += [f"{ON_ERROR.capitalize()}."] * bool(compensation.feedforward.terms)
+        advice = advise("compensate", compensation.to_dict())
         text = (
-            f"Tracking error rms {found.without:.3g} {found.unit} without, {found.achieved:.3g} with what is kept "
-            f"({ratio:,.0f} times less), {found.worst:.3g} with every parameter wrong; controller: "
-            f"{self.controller.value}, {found.axis.controller.kind.replace('_', ' ')}."
+            f"Tracking error rms {compensation.without:.3g} {compensation.unit} without, {compensation.achieved:.3g} "
+            f"with what is kept ({ratio:,.0f} times less), {compensation.worst:.3g} with every parameter wrong; "
+            f"controller: {self.controller.value}, {compensation.axis.controller.kind.replace('_', ' ')}."
         )
-        lines = (text, *more, *(one["advice"] for one in found.feedback))
+        lines = (text, *more, *(remedy["advice"] for remedy in compensation.feedback))
         shown = "".join(f"<br>{inline(line)}" for line in lines)
         self.message.object = self._axis.units.text(judgement(sentence_of(advice.text), LEVELS[advice.level][0], shown))
-        heads = ("term", f"alone [{found.unit}]", "all but it", "all, it wrong", "")
+        heads = ("term", f"alone [{compensation.unit}]", "all but it", "all, it wrong", "")
         rows = [
             (term.name.replace("_", " "), *map(_written, (term.alone, term.left_out, term.worst)),
              inline(term.note if term.kept else f"left out: {term.note}"))
-            for term in found.terms
+            for term in compensation.terms
         ]  # fmt: skip
         self.table.object = numbers(heads, rows)
-        self.picture.object = svg(labelled(tracking_figure(found), found.axis.units), "tracking")
+        self.picture.object = svg(labelled(tracking_figure(compensation), compensation.axis.units), "tracking")
 
     def _folder(self) -> BytesIO:
         try:
-            if self.found is None:
+            if self.compensation is None:
                 raise EmpsError("nothing was tried yet")
-            data = drive_zip(self.found)
+            data = drive_zip(self.compensation)
         except EmpsError as error:
             self._say(str(error), "stop")
             raise

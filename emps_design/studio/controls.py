@@ -1,7 +1,4 @@
-"""Controls for one number of the state: a field to type in, alone or with a slider to turn, kept in step.
-
-The filters of the command: a row of fields for each, to be changed or taken away, and buttons for one more.
-"""
+"""Controls of the state: a field for one number, alone or with a slider, and a row of fields for each filter."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from emps_design.laws.library.cascade import Filter
 from emps_design.studio.ranges import CHOICES, Choice
 from emps_design.studio.state import State
 
-# The title of the slider stays in the page for screen readers (and for the script that names its handle).
+# The title of the slider stays in the page for screen readers and for the script that names its handle.
 _QUIET = (
     ":host { --design-primary-color: #0072B2; } .bk-slider-title { font-size: 0; height: 0; } "
     ".noUi-handle:focus-visible { outline: 3px solid #E69F00; }"
@@ -26,10 +23,10 @@ NUMBERS = {"lowpass": ("frequency",), "notch": ("frequency", "damping", "depth")
 
 
 def after_this_event(answer: Callable[[], None]) -> None:
-    """Call ``answer`` once what the browser has just sent is dealt with: at once where there is no page.
+    """Call ``answer`` after the running event of the browser, or at once if there is no page.
 
-    Only then does the browser listen to a value that replaces the one it sent, and the answer may change pictures: it
-    holds the lock of the page, which an event does not.
+    Only then does the browser accept a value that replaces the one it sent, and only then does the callback hold the
+    lock of the page, which it needs to change pictures.
     """
     if pn.state.curdoc is None:
         answer()
@@ -38,15 +35,15 @@ def after_this_event(answer: Callable[[], None]) -> None:
 
 
 class Field:
-    """A field for the number ``name``; ``on_change(name, value)`` hears every change made by hand.
+    """A field for the number ``name``; every change by the user calls ``on_change(name, value)``.
 
-    A frequency is typed as text, with its unit or without; what is heard is what was typed, and ``on_change`` has the
-    field show what it was taken for.
+    A frequency is typed as text, with its unit or without; ``on_change`` gets the text and sets the field to the
+    number in rad/s.
     """
 
     def __init__(self, name: str, value: float, on_change: Callable[[str, Any], None], width: int = 112):
         self.name, self.on_change, self._quiet = name, on_change, False
-        self._moved: Any = None  # the widget that was changed by hand and has no answer yet
+        self._pending: Any = None  # the widget that the user has changed, until on_change is called
         self.choice = choice = CHOICES[name]
         self.whole = isinstance(choice.step, int)
         common = {"label": choice.label, "width": width, "margin": (2, 6, 2, 6)}
@@ -54,45 +51,45 @@ class Field:
         if choice.frequency:
             self.field = pn.widgets.TextInput(value=_written(value), **common)
         else:
-            # With bounds the browser would keep a number outside them to itself, over a design it does not belong to.
+            # With bounds the browser would not send a number outside them, and show it above another design.
             widget = pn.widgets.IntInput if self.whole else pn.widgets.FloatInput
             self.field = widget(value=value, step=choice.step, **common)
-        self.field.param.watch(self._heard, "value")
+        self.field.param.watch(self._on_input, "value")
 
-    def _heard(self, event: Any) -> None:
+    def _on_input(self, event: Any) -> None:
         if self._quiet or event.new is None:
             return
-        waiting, self._moved = self._moved is not None, event.obj
-        if not waiting:  # of what comes until then, the last counts
+        waiting, self._pending = self._pending is not None, event.obj
+        if not waiting:  # several changes before the answer count as one, the last
             after_this_event(self._answer)
 
     def _answer(self) -> None:
-        widget, self._moved = self._moved, None
+        widget, self._pending = self._pending, None
         self.on_change(self.name, widget.value)
 
-    def _silently(self, change: Callable, *given: Any) -> None:
-        """Call ``change`` without telling anybody."""
+    def _quietly(self, change: Callable, *arguments: Any) -> None:
+        """Call ``change(*arguments)`` without a call of ``on_change``."""
         self._quiet = True
         try:
-            change(*given)
+            change(*arguments)
         finally:
             self._quiet = False
 
     def set(self, value: float) -> None:
-        """Show ``value`` without telling anybody; a number typed since keeps its place until it has its answer."""
-        if self._moved is None:
-            self._silently(self._show, value)
+        """Show ``value`` without a call of ``on_change``; a number that the user has typed since stays."""
+        if self._pending is None:
+            self._quietly(self._show, value)
 
     def _show(self, value: float) -> None:
         self.field.value = _written(value) if isinstance(self.field, pn.widgets.TextInput) else value
 
     def suit(self, state: State) -> None:
-        """Have the name and the range that the number has in ``state``."""
+        """Take the label and the range of the number from ``state``."""
         choice = state.choices[self.name]
         self.field.label = state.axis.units.label(choice.label)
         if choice != self.choice:
             self.choice = choice
-            self._silently(self._range, choice)
+            self._quietly(self._range, choice)
 
     def _range(self, choice: Choice) -> None:
         if not isinstance(self.field, pn.widgets.TextInput):
@@ -117,7 +114,7 @@ class Knob(Field):
             margin=(22, 10, 0, 4),
             stylesheets=[_QUIET],
         )
-        self.slider.param.watch(self._heard, "value")
+        self.slider.param.watch(self._on_input, "value")
         self.view = pn.Row(self.field, self.slider, sizing_mode="stretch_width", margin=0)
 
     def _show(self, value: float) -> None:
@@ -125,7 +122,7 @@ class Knob(Field):
         self.slider.value = value
 
     def suit(self, state: State) -> None:
-        """Have the name and the range that the number has in ``state``."""
+        """Take the label and the range of the number from ``state``."""
         super().suit(state)
         self.slider.label = self.field.label
 
@@ -134,13 +131,10 @@ class Knob(Field):
         self.slider.param.update(start=choice.lower, end=choice.upper, step=choice.step)
 
     def limit(self, low: float, high: float, value: float) -> None:
-        """Let the slider reach ``low`` to ``high`` and ``value`` only.
-
-        The field takes any number, so that the page can answer.
-        """
+        """Limit the slider to ``low`` to ``high``, extended to ``value``; the field still takes any number."""
         low, high = min(low, value), max(high, value)
         high = high if high > low else low + self.choice.step
-        self._silently(lambda: self.slider.param.update(start=low, end=high))
+        self._quietly(lambda: self.slider.param.update(start=low, end=high))
 
 
 def _written(value: float) -> str:
@@ -148,13 +142,13 @@ def _written(value: float) -> str:
 
 
 class FilterRows:
-    """Fields of filters; ``heard(tables)`` has them all as tables, as typed, once one is changed by hand.
+    """A row of fields for each filter; a change by the user calls ``on_change(tables)`` with all filters as typed.
 
-    ``another(kind)`` is the filter that its button adds.
+    ``default_filter(kind)`` is the filter that the button for ``kind`` adds.
     """
 
-    def __init__(self, heard: Callable[[list[dict[str, Any]]], None], another: Callable[[str], Filter]):
-        self._heard, self._another = heard, another
+    def __init__(self, on_change: Callable[[list[dict[str, Any]]], None], default_filter: Callable[[str], Filter]):
+        self._on_change, self._default_filter = on_change, default_filter
         self._quiet = self._waiting = False
         self._filters: tuple[Filter, ...] = ()
         self.fields: list[dict[str, pn.widgets.TextInput]] = []
@@ -169,26 +163,27 @@ class FilterRows:
 
     @property
     def tables(self) -> list[dict[str, Any]]:
-        """The filters as tables, what was typed as it is written."""
-        found = [one.model_dump(exclude_none=True) for one in self._filters]
-        for table, fields in zip(found, self.fields, strict=True):
+        """The filters as tables of an axis file, with changed fields as the user typed them."""
+        tables = [filter.model_dump(exclude_none=True) for filter in self._filters]
+        for table, fields in zip(tables, self.fields, strict=True):
             typed = {name: str(field.value) for name, field in fields.items() if field.value != _written(table[name])}
             table |= {name: _read(text) for name, text in typed.items()}
-        return found
+        return tables
 
     def set(self, filters: tuple[Filter, ...]) -> None:
-        """Show ``filters`` without telling anybody; fields that stay keep the cursor, and what waits for its answer."""
+        """Show ``filters`` without a call of ``on_change``; unchanged kinds keep their fields and pending input."""
         self._quiet = True
         try:
             before, self._filters = self._filters, filters
-            if [one.kind for one in before] != [one.kind for one in filters]:
-                self.fields = [{name: self._field(one.kind, name) for name in NUMBERS[one.kind]} for one in filters]
+            kinds = [filter.kind for filter in filters]
+            if [filter.kind for filter in before] != kinds:
+                self.fields = [{name: self._field(kind, name) for name in NUMBERS[kind]} for kind in kinds]
                 self.rows[:] = [self._row(place) for place in range(len(filters))]
             elif self._waiting:
                 return
-            for one, fields in zip(filters, self.fields, strict=True):
+            for filter, fields in zip(filters, self.fields, strict=True):
                 for name, field in fields.items():
-                    field.value = _written(getattr(one, name))
+                    field.value = _written(getattr(filter, name))
         finally:
             self._quiet = False
 
@@ -214,17 +209,17 @@ class FilterRows:
 
     def _answer(self) -> None:
         self._waiting = False
-        self._heard(self.tables)
+        self._on_change(self.tables)
 
     def _take_away(self, place: int) -> None:
-        self._heard([table for at, table in enumerate(self.tables) if at != place])
+        self._on_change([table for at, table in enumerate(self.tables) if at != place])
 
     def _add(self, kind: str) -> None:
-        self._heard([*self.tables, self._another(kind).model_dump(exclude_none=True)])
+        self._on_change([*self.tables, self._default_filter(kind).model_dump(exclude_none=True)])
 
 
 def _read(text: str) -> Any:
-    """A number where ``text`` is one; a frequency keeps its unit, to be read where every other is."""
+    """Return ``text`` as a number, or unchanged if it is none, such as a frequency with its unit."""
     try:
         return float(text)
     except ValueError:

@@ -1,8 +1,7 @@
-"""The data tab: drop a record, identify, observe, diagnose, and take the better model over into the design.
+"""The data tab: drop a record, choose its columns, and run a job on it whose model the design tab can take over.
 
-The columns of a dropped file: what each was taken for, to be chosen anew and read again.
-
-What the data tab does with a record, each a job: identify, find the law, observe, respond, diagnose.
+The jobs identify parameters, find the control law, observe the external force, estimate the frequency response, or
+diagnose what the model lacks.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from emps_design.studio.panes import AxisFile, Job, blocks, html, judgement, mes
 from emps_design.studio.state import FRICTIONS, State
 from emps_design.units import Units
 
-Options = dict[str, Any]  # what the tab chose: friction and filter of Identify, model of Diagnose, record held out
+Options = dict[str, Any]  # choices of the tab: friction and filter of Identify, model of Diagnose, held-out record
 NAMED_MODEL, CLOSEST_MODEL = "named", "closest"
 
 NONE, AS_TITLED = "none", "as titled"
@@ -36,7 +35,7 @@ UNITS = ("s", "ms", "us", "m", "mm", "um", "rad", "deg", "rev", "V", "mV", "A", 
 
 LIMIT_MB = 100
 SUFFIXES = (".mat", ".csv", ".txt", ".tsv", ".npz")
-# The dropper is content with every file that arrived whole; one that is refused must not wear its green tick.
+# The dropper shows every file that arrived whole as accepted: a refused one must not have its green tick.
 REFUSED = """
 [data-filepond-item-state="processing-complete"] .filepond--item-panel { background-color: #9b1c1c !important; }
 .filepond--processing-complete-indicator, .filepond--file-status { display: none !important; }
@@ -61,7 +60,7 @@ To practise, <code>emps-design init start</code> writes three.</p>
 
 
 def _blocks(units: Units, *blocks: Any) -> str:
-    """Blocks of a report page as HTML in the ``units`` of an axis, without the page around them."""
+    """Return blocks of a report page as HTML in ``units``, without the page around them."""
     from emps_design.report import Page, Section
 
     text = Page("", "", (), (Section("Result", *blocks),), units=units).html()
@@ -70,29 +69,32 @@ def _blocks(units: Units, *blocks: Any) -> str:
 
 
 def _advice(name: str, document: dict[str, Any], record: Record, axis: Axis) -> Advice:
-    """What to do with what the command ``name`` finds in ``record``, by its ``document``."""
+    """Return the advice on the ``document`` that the command ``name`` makes of ``record``."""
     return advise(name, document, axis=axis.name, records=[record.name])
 
 
 def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Identify ``record`` and return the section of the report about it, and the axis it gives."""
+    """Identify ``record``; return the section of the report about it and the identified axis."""
     from emps_design.identification import identify
     from emps_design.report.record import identification_blocks
 
     progress("identifying", 0.2)
-    found = identify(record, axis, model=options["friction"], filter=options["chain"], holdout=options.get("held_out"))
+    choices = {"model": options["friction"], "filter": options["chain"], "holdout": options.get("held_out")}
+    identification = identify(record, axis, **choices)
     progress("drawing", 0.7)
+    estimates = identification.parameters
     values = ", ".join(
-        f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in found.parameters.items()
+        f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in estimates.items()
     )
-    judged = found.extra["held_out"]
+    judged = identification.extra["held_out"]
     judged_on = f", {quantity(judged['rms_error'], 'N')} on {judged['on']}" if options.get("held_out") else ""
-    complete = all(estimate.determined for estimate in found.parameters.values())
+    complete = all(estimate.determined for estimate in estimates.values())
+    name = f"{axis.name.split(' from ')[0]} from {record.name}"
     return {
-        "text": f"Identified: {values}; force error {quantity(found.rms_error, 'N')} rms{judged_on}.",
-        "html": _blocks(axis.units, *identification_blocks(found, axis)),
-        "model": found.to_axis(name=f"{axis.name.split(' from ')[0]} from {record.name}") if complete else None,
-        "advice": _advice("identify", found.to_dict(), record, axis),
+        "text": f"Identified: {values}; force error {quantity(identification.rms_error, 'N')} rms{judged_on}.",
+        "html": _blocks(axis.units, *identification_blocks(identification, axis)),
+        "model": identification.to_axis(name=name) if complete else None,
+        "advice": _advice("identify", identification.to_dict(), record, axis),
     }
 
 
@@ -102,68 +104,69 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     from emps_design.report.record import observation_blocks
 
     progress("observing", 0.2)
-    found = observe(record, axis)
+    observation = observe(record, axis)
     progress("drawing", 0.7)
-    least = min(found.methods.values(), key=lambda method: method.smallest.value).smallest.value
+    least = min(observation.methods.values(), key=lambda method: method.smallest.value).smallest.value
     return {
         "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
-        "html": _blocks(axis.units, *observation_blocks(found)),
-        "advice": _advice("observe", found.to_dict(), record, axis),
+        "html": _blocks(axis.units, *observation_blocks(observation)),
+        "advice": _advice("observe", observation.to_dict(), record, axis),
     }
 
 
 def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Tell which controller made ``record``; return its table, and ``axis`` with it where it is told."""
+    """Find the controller that made ``record``; return the section about it, and ``axis`` with it if it is found."""
     from emps_design.identification.controller import identify_law
     from emps_design.report.record import law_blocks
 
     progress("trying structures", 0.2)
-    found = identify_law(record, axis.drive.command_unit)
+    law = identify_law(record, axis.drive.command_unit)
     progress("drawing", 0.9)
-    table, name = found.controller, f"{axis.name.split(' with the law')[0]} with the law of {record.name}"
+    table, name = law.controller, f"{axis.name.split(' with the law')[0]} with the law of {record.name}"
     return {
-        "text": f"Law {found.verdict}: {found.in_words or found.reason}.",
-        "html": _blocks(axis.units, *law_blocks(found)),
+        "text": f"Law {law.verdict}: {law.in_words or law.reason}.",
+        "html": _blocks(axis.units, *law_blocks(law)),
         "model": None if table is None else Axis.from_dict({**axis.to_dict(), "controller": table, "name": name}, name),
-        "advice": _advice("law", found.to_dict(), record, axis),
+        "advice": _advice("law", law.to_dict(), record, axis),
     }
 
 
 def response_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Estimate the frequency response of ``record``; return it beside the model, and the axis that fits it."""
+    """Estimate the frequency response of ``record``; return it beside the model's, and the axis that fits it."""
     from emps_design.frequency_response import estimate_response
     from emps_design.report.frequency_response import response_blocks
 
-    found = estimate_response(record, axis, progress=of_part(progress, 0.0, 0.5))
+    estimate = estimate_response(record, axis, progress=of_part(progress, 0.0, 0.5))
     progress("fitting", 0.6)
-    compared = found.comparison
-    chain = compared.chain
+    comparison = estimate.comparison
+    chain = comparison.chain
+    lines, sentence = len(estimate.response), comparison.agreement.sentence
     progress("drawing", 0.8)
     return {
-        "text": f"Response at {len(found.response)} lines by the {found.instrument}: {compared.agreement.sentence}.",
-        "html": _blocks(axis.units, *response_blocks(compared, found.spectral_ratio)),
+        "text": f"Response at {lines} lines by the {estimate.instrument}: {sentence}.",
+        "html": _blocks(axis.units, *response_blocks(comparison, estimate.spectral_ratio)),
         "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
-        "advice": _advice("frf", found.to_dict(), record, axis),
+        "advice": _advice("frf", estimate.to_dict(), record, axis),
     }
 
 
 def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Find where ``record`` and ``axis`` disagree; return the page's summary and the model that was sought."""
+    """Find where ``record`` and ``axis`` disagree; return the blocks of the page and the model chosen in the tab."""
     from emps_design.discrepancy import diagnose
     from emps_design.report.diagnosis import diagnosis_page, typeset
 
-    found = diagnose(
+    diagnosis = diagnose(
         record,
         axis,
         holdout=options.get("held_out"),
         progress=progress,
         closest=options["sought"] == CLOSEST_MODEL,
     )
-    model = found.axis if found.closest is None or found.closest.axis is None else found.closest.axis
+    model = diagnosis.axis if diagnosis.closest is None or diagnosis.closest.axis is None else diagnosis.closest.axis
     progress("drawing", 0.98)
-    page = diagnosis_page(found)
+    page = diagnosis_page(diagnosis)
     shown = [*page.summary, *(block for section in page.sections for block in section.blocks)]
-    document = found.to_dict()
+    document = diagnosis.to_dict()
     return {
         "text": typeset(document.get("sentence", document["verdict"])),
         "html": _blocks(axis.units, *shown),
@@ -182,7 +185,7 @@ WORK = {
 
 
 class ColumnsView:
-    """Two fields for each column of a record, and a button that hands them to ``read`` as a ``[record]`` table."""
+    """Fields for title and unit of each column of a record; the button calls ``read`` with the ``[record]`` table."""
 
     def __init__(self, read: Callable[[ColumnMap], None]):
         self._read = read
@@ -202,7 +205,7 @@ class ColumnsView:
 
     @property
     def table(self) -> ColumnMap:
-        """What is chosen, as the ``[record]`` table of an axis file."""
+        """The choice as the ``[record]`` table of an axis file."""
         chosen = {
             KEYS[name]: Column(column=self.titles[name].value, unit=None if unit == AS_TITLED else unit)
             for name in CHOSEN
@@ -211,29 +214,30 @@ class ColumnsView:
         return ColumnMap.model_validate(chosen)
 
     def show(self, titles: Sequence[str], assigned: Sequence[Assignment], units: Units) -> None:
-        """Offer the ``titles`` of a file: what they were ``assigned`` to is chosen, or what they seem to say."""
-        taken = {one.name: one.title for one in assigned}
-        for name, found in meanings(titles, units).items():
-            if len(found) == 1:
-                taken.setdefault(name, found[0])
+        """Offer the ``titles`` of a file; chosen are the ``assigned`` columns, or those that the titles suggest."""
+        chosen = {assignment.name: assignment.title for assignment in assigned}
+        for name, candidates in meanings(titles, units).items():
+            if len(candidates) == 1:
+                chosen.setdefault(name, candidates[0])
         for name in CHOSEN:
             known = [unit for unit in UNITS if factor_of(unit, name, units) is not None]
-            title = taken.get(name, NONE)
+            title = chosen.get(name, NONE)
             self.titles[name].param.update(options=[NONE, *titles], value=title if title in titles else NONE)
             stated = title_unit(title)[1] in known
-            given = next((one.unit for one in assigned if one.name == name and one.unit in known), AS_TITLED)
-            self.units[name].param.update(options=[AS_TITLED, *known], value=AS_TITLED if stated else given)
+            units_read = (assignment.unit for assignment in assigned if assignment.name == name)
+            unit_option = next((unit for unit in units_read if unit in known), AS_TITLED)
+            self.units[name].param.update(options=[AS_TITLED, *known], value=AS_TITLED if stated else unit_option)
         self.view.visible = True
 
     def hide(self) -> None:
-        """Show nothing: the columns of the file have the names of a record."""
+        """Hide the fields: the columns of the file have the names of a record."""
         self.view.visible = False
 
 
 def read_upload(name: str, content: bytes | str, axis: Axis) -> Record:
-    """Read an uploaded record of ``axis`` as any other file is read: checked, never executed or unpickled.
+    """Read an uploaded record of ``axis`` like any other file: checked, never executed or unpickled.
 
-    Raises :class:`RecordError` for another kind of file, or one above the size limit.
+    Raises :class:`RecordError` for another kind of file, or one above :data:`LIMIT_MB`.
     """
     from emps_design.importing import import_bytes
 
@@ -247,7 +251,7 @@ def read_upload(name: str, content: bytes | str, axis: Axis) -> Record:
 
 
 def upload_titles(name: str, content: bytes | str) -> list[str]:
-    """The titles of the columns of an upload; none where they cannot be told."""
+    """Return the titles of the columns of an upload, or none if they cannot be read."""
     from emps_design.records.readers import titles_from_bytes
 
     plain, data = _upload(name, content)
@@ -264,7 +268,7 @@ def _upload(name: str, content: bytes | str) -> tuple[str, bytes]:
 
 
 def _dropper(label: str) -> pn.widgets.FileDropper:
-    """A field that one record is dropped on."""
+    """Return a field to drop one record on."""
     return pn.widgets.FileDropper(
         label=label, max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=430, layout="compact",
         margin=(4, 6),
@@ -272,9 +276,9 @@ def _dropper(label: str) -> pn.widgets.FileDropper:
 
 
 class DataView:
-    """The record, what can be done with it, and what came out.
+    """The record, the jobs on it, and the result of the last one.
 
-    ``take(axis)`` hands a model to the design tab; ``another()`` hears of every record that is read, or taken away.
+    ``take(axis)`` passes a model to the design tab; ``record_changed()`` is called when a record is read or removed.
     """
 
     def __init__(
@@ -285,15 +289,15 @@ class DataView:
         turn: Callable[[str, Any], None],
         take: Callable[[Axis], None],
         record: Record | None = None,
-        another: Callable[[], None] = lambda: None,
+        record_changed: Callable[[], None] = lambda: None,
     ):
-        self._machines, self._take, self._another = machines, take, another
+        self._machines, self._take, self._record_changed = machines, take, record_changed
         self.record: Record | None = None
         self.held_out: Record | None = None
         self.model: Axis | None = None
         self._dropped_last: tuple[str, bytes | str] | None = None
         self._second_last: tuple[str, bytes | str] | None = None
-        self._work = ""  # whose result is shown, or at work
+        self._work = ""  # name of the job that runs or whose result is shown
         self._table: ColumnMap | None = None
         self.columns = ColumnsView(self._read_columns)
         self.drop = _dropper(f"Record: drop or choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB")
@@ -304,7 +308,7 @@ class DataView:
         self.machine = pn.widgets.Select(
             label="Axis of the record", options=list(machines()), value=axis_name, width=230, margin=(4, 6)
         )
-        self.machine.param.watch(self._of_another, "value")
+        self.machine.param.watch(self._axis_chosen, "value")
         self.friction = pn.widgets.RadioButtonGroup(
             label="Friction", options=list(FRICTIONS), value=state().friction, margin=(22, 6, 4, 6)
         )
@@ -316,7 +320,7 @@ class DataView:
             label="Model of Diagnose", options=[NAMED_MODEL, CLOSEST_MODEL], width=100, margin=(4, 6)
         )
         for choice in (self.friction, self.filter, self.sought):
-            choice.param.watch(self._of_others, "value")
+            choice.param.watch(self._choice_changed, "value")
         self.buttons = {name: self._button(name) for name in WORK}
         self.take = pn.widgets.Button(
             label="Design on this model", disabled=True, width=180, color="success", margin=(24, 6, 4, 6)
@@ -362,13 +366,13 @@ class DataView:
         if not event.new:
             return
         name, content = list(event.new.items())[-1]  # an earlier file stays in the value; the last is the one dropped
-        if (name, content) == self._dropped_last:  # taking an earlier file away tells of this one again
+        if (name, content) == self._dropped_last:  # the removal of an earlier file sends this one again
             return
         self._dropped_last, self._table = (name, content), None
         self._read_columns(None)
 
     def _second_dropped(self, event: Any) -> None:
-        """Hold the record out that was dropped, or none where it was taken away; no result of another stays."""
+        """Hold out the record that was dropped, or none if it was removed; clear the result of the one before."""
         dropped = list(event.new.items())[-1] if event.new else None
         if dropped == self._second_last:
             return
@@ -380,7 +384,7 @@ class DataView:
             self._say(refused, "stop")
 
     def _read_second(self) -> str:
-        """Read the record that is held out like the first one; why it is refused, empty where it is not."""
+        """Read the held-out record like the first one; return why it is refused, or ""."""
         self.held_out, self.second.stylesheets = None, []
         if self._second_last is None:
             return ""
@@ -392,19 +396,19 @@ class DataView:
         return ""
 
     def _axis_opened(self, axis: Axis) -> None:
-        """Design on an axis from a file, and take the record for one of it."""
+        """Design on an axis from a file, and read the record with it."""
         self._take(axis)
         self.of(axis)
 
     def of(self, axis: Axis) -> None:
-        """Take the record for one of ``axis``."""
+        """Read the record with ``axis``."""
         self.machine.options = list(self._machines())
         if self.machine.value == axis.name:  # the same file, edited
             self.machine.param.trigger("value")
         self.machine.value = axis.name
 
     def _read_columns(self, table: ColumnMap | None) -> None:
-        """Read what was dropped last, by ``table`` where columns were chosen; offer the columns of an export."""
+        """Read the last dropped file, with the columns of ``table`` if chosen; offer the columns of an export."""
         if self._dropped_last is None:
             return
         (name, content), axis = self._dropped_last, self._axis
@@ -420,42 +424,42 @@ class DataView:
         except EmpsError as error:
             self._withdraw()
             self._say(str(error), "stop")
-        plain = bool(assigned) and all(one.how == NAMED for one in assigned)
+        plain = bool(assigned) and all(assignment.how == NAMED for assignment in assigned)
         titles = [] if plain else upload_titles(name, content)
         if not titles:
             self.columns.hide()
         elif table is None:
             self.columns.show(titles, assigned, axis.units)
 
-    def _of_another(self, event: Any) -> None:
-        """Read the record anew for another axis: what was found, and the columns, were those of the one before."""
+    def _axis_chosen(self, event: Any) -> None:
+        """Read the record again for another axis: result and columns were those of the axis before."""
         self._table = None
         if self._dropped_last is not None:
             self._read_columns(None)
         else:
-            self._of_others(event)
+            self._choice_changed(event)
 
-    def _of_others(self, event: Any) -> None:
-        """Show no result of other choices than those that stand above it."""
+    def _choice_changed(self, event: Any) -> None:
+        """Clear a result that was made with other choices than those shown above it."""
         reader = "Diagnose" if event.obj is self.sought else "Identify"
         if self.record is not None and (self._work == reader or event.obj is self.machine):
             self._show(self.record)
 
     @property
     def _axis(self) -> Axis:
-        """The axis that is chosen, with the columns that were chosen for the record."""
+        """The chosen axis, with the columns that were chosen for the record."""
         axis = self._machines()[self.machine.value]
         return axis if self._table is None else axis.replace(record=self._table)
 
     @property
     def measured(self) -> dict[str, Any]:
-        """The record, its axis and the filter that were chosen, for a report; empty without a record."""
+        """Record, axis and filter as arguments of a report; empty without a record."""
         if self.record is None:
             return {}
         return {"record": self.record, "record_axis": self._axis, "chain": self.filter.value}
 
     def _withdraw(self) -> None:
-        """Show no record and no result: after a refused upload the ones before would stand under its name."""
+        """Clear record and result: after a refused upload they would stand under its name."""
         self.job.stop()
         self.record, self.model = None, None
         self.take.disabled = True
@@ -463,7 +467,7 @@ class DataView:
             button.disabled = True
         self.drop.stylesheets = [REFUSED]
         self.about.object, self.result.object = INTRODUCTION, ""
-        self._another()
+        self._record_changed()
 
     def _show(self, record: Record) -> None:
         from emps_design.report import style
@@ -475,26 +479,26 @@ class DataView:
         self.drop.stylesheets = []
         for button in self.buttons.values():
             button.disabled = False
-        both = [record, *([] if self.held_out is None else [self.held_out])]
-        notes = "".join(f"<br>{inline(warning)}" for one in both for warning in one.warnings)
-        said = "; held out ".join(
-            f"{one.name}: {len(one)} samples of {quantity(one.period, 's')}, {quantity(one.duration, 's', 3)} in all"
-            for one in both
+        records = [record, *([] if self.held_out is None else [self.held_out])]
+        notes = "".join(f"<br>{inline(warning)}" for shown in records for warning in shown.warnings)
+        summary = "; held out ".join(
+            f"{r.name}: {len(r)} samples of {quantity(r.period, 's')}, {quantity(r.duration, 's', 3)} in all"
+            for r in records
         )
-        self._say(said, "warning" if notes else "good", notes)
+        self._say(summary, "warning" if notes else "good", notes)
         self.about.object = f'<div class="record">{style.svg(record_figure(record, self._axis.units), "record")}</div>'
         self.result.object = ""
-        self._another()
+        self._record_changed()
 
     def _say(self, text: str, level: str, more: str = "") -> None:
         self.message.object = message("", level, self._own(inline(text) + more))
 
     def _own(self, text: str) -> str:
-        """``text`` in the units and words of the axis of the record."""
+        """Return ``text`` in the units of the axis of the record."""
         return self._axis.units.text(text)
 
     def _button(self, name: str) -> pn.widgets.Button:
-        """A button that starts the work ``name``."""
+        """Return the button that starts the job ``name``."""
         button = pn.widgets.Button(label=name, disabled=True, width=110, color="primary", margin=(24, 6, 4, 6))
         button.on_click(lambda event: self._start(name))
         return button
@@ -504,7 +508,7 @@ class DataView:
             return
         work = WORK[name]
         record, axis = self.record, self._axis
-        if name == "Law" and self.model is not None:  # a controller goes on what was found of the same record
+        if name == "Law" and self.model is not None:  # add the controller to the model of the same record
             axis = self.model
         options = {
             "friction": self.friction.value,
@@ -525,12 +529,12 @@ class DataView:
     def _failed(self, message: str) -> None:
         self._say(message, "stop")
 
-    def _done(self, found: dict[str, Any]) -> None:
-        advice, summary = found["advice"], inline(found["text"])
+    def _done(self, outcome: dict[str, Any]) -> None:
+        advice, summary = outcome["advice"], inline(outcome["text"])
         level = LEVELS[advice.level][0]
         self.message.object = self._own(judgement(sentence_of(advice.text), level, f"<br>{summary}"))
-        self.result.object = found["html"]
-        self.model = found.get("model")
+        self.result.object = outcome["html"]
+        self.model = outcome.get("model")
         self.take.disabled = self.model is None
 
     def _taken(self, event: Any) -> None:

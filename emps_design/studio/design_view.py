@@ -1,6 +1,6 @@
-"""The design tab: turn the specification, see gains, margins and pictures follow.
+"""The design tab: controls of the specification, and the gains, margins and pictures of the design.
 
-The design tab's tables as HTML: gains and margins against the requirements, force loop and impedance law.
+Its tables compare gains and margins with the requirements, and judge the force loop and the impedance law.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ GROUPS = (
     ("Impedance law", ("mass", "damping", "filter", "mismatch_percent")),
 )
 
-# What a velocity loop is asked for: typed by hand, a number that cannot be had moves to the nearest that can.
+# The specification of the velocity loop: a number that the user sets and that cannot be reached moves to the nearest.
 SPECIFYING = ("frequency", "phase_margin_deg", "specification", "structure", "filters")
 
 
@@ -42,14 +42,14 @@ def _check(good: bool) -> str:
 
 
 def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> str:
-    """Gains and margins as HTML, the pinned design's below, and whether the requirements are met."""
+    """Return gains and margins as HTML, with those of the pinned design, and whether the requirements are met."""
 
     def row(name: str, shown: VelocityLoopDesign) -> tuple[str, ...]:
         sampled, m = shown.sampled, shown.sampled.margins
         filters, other = len(shown.filters), ""
         if shown.axis.name != design.axis.name:
             name = f"{name}, {inline(shown.axis.name)}"
-        if shown.axis.units != design.axis.units:  # the head's are this design's
+        if shown.axis.units != design.axis.units:  # the headings have the units of this design
             other = f" <code>{shown.axis.units.unit('V/(m/s)')}</code>"
         return (
             name,
@@ -81,18 +81,18 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
 
 
 def _requirements(state: State, design: VelocityLoopDesign) -> str:
-    found = requirements(design, state.required_phase_deg, state.required_overshoot_percent)
-    if found is None:
+    achieved = requirements(design, state.required_phase_deg, state.required_overshoot_percent)
+    if achieved is None:
         return '<p class="requirements"><b class="no">The sampled loop is unstable: no requirement is met.</b></p>'
     return (
-        f'<p class="requirements">Phase margin {angle(found.phase_margin_deg)} of {angle(state.required_phase_deg)} '
-        f"required: {_check(found.phase_met)} · overshoot {found.overshoot_percent:.1f} % of "
-        f"{state.required_overshoot_percent:g} % allowed: {_check(found.overshoot_met)}</p>"
+        f'<p class="requirements">Phase margin {angle(achieved.phase_margin_deg)} of {angle(state.required_phase_deg)} '
+        f"required: {_check(achieved.phase_met)} · overshoot {achieved.overshoot_percent:.1f} % of "
+        f"{state.required_overshoot_percent:g} % allowed: {_check(achieved.overshoot_met)}</p>"
     )
 
 
 def verdict_message(design: VelocityLoopDesign) -> str:
-    """What to do with ``design``, by the worst loop that will run, as HTML."""
+    """Return the advice on ``design`` as HTML, by the worst loop that will run."""
     from emps_design.control.nested_loops import (
         SAFE_GAIN_MARGIN,
         SAFE_PHASE_MARGIN_DEG,
@@ -114,7 +114,7 @@ def verdict_message(design: VelocityLoopDesign) -> str:
 
 
 def laws_table(state: State, design: VelocityLoopDesign) -> str:
-    """Force loop and impedance law of the state as HTML."""
+    """Return force loop and impedance law of the state as HTML."""
     cells = [("", ""), *_force_cells(state, design), *_impedance_cells(state)]
     heads, values = zip(*cells, strict=True)
     return numbers(heads, [values])
@@ -149,12 +149,12 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
         plant, clock = FrictionModel.of(state.axis), Clock.of(state.axis)
         e = state.mismatch_percent / 100.0
         worst = law.with_errors({"mass": e, "viscous": e, "coulomb": e})
-        effects = bool(left_out(state.axis))  # which the friction model of the verdict does not hold
+        effects = bool(left_out(state.axis))  # the friction model of the verdict lacks them
         exact, over = (
             "unstable"
-            if effects and not extended_loop(state.axis, one).stable
-            else verdict(one, plant, clock, state.axis.sampling.encoder_resolution)
-            for one in (law, worst)
+            if effects and not extended_loop(state.axis, candidate).stable
+            else verdict(candidate, plant, clock, state.axis.sampling.encoder_resolution)
+            for candidate in (law, worst)
         )
         felt = worst.apparent(plant)
     except EmpsError as error:
@@ -173,9 +173,9 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
 
 
 class DesignView:
-    """Controls on the left, numbers and pictures on the right; ``changed(state)`` tells the other tabs.
+    """Controls on the left, numbers and pictures on the right; ``changed(state)`` is called after each change.
 
-    ``opened(axis)`` has an axis from a file; without it the design is made on that.
+    ``opened(axis)`` is called with an axis from a file; the default designs on it.
     """
 
     def __init__(
@@ -213,11 +213,11 @@ class DesignView:
             ),
         }
         for name, group in self.words.items():
-            group.param.watch(lambda event, name=name: self._heard(name, event.new), "value")
+            group.param.watch(lambda event, name=name: self._on_word(name, event.new), "value")
         self.pin = pn.widgets.Toggle(label="Pin this design to compare", width=210, margin=(2, 8))
         self.pin.param.watch(self._pinned, "value")
         self.knobs = {name: Knob(name, getattr(state, name), self.turn) for _, names in GROUPS for name in names}
-        self.filters = FilterRows(lambda tables: self.turn("filters", tables), self._another)
+        self.filters = FilterRows(lambda tables: self.turn("filters", tables), self._default_filter)
         self.verdict, self.message, self.numbers, self.laws = html(), html(), html(), html()
         self.titles: dict[str, pn.pane.HTML] = {}
         self._quiet = False
@@ -233,7 +233,7 @@ class DesignView:
             groups += [self.knobs[name].view for name in names]
             groups += [self.words["structure"], self.filters.view] if title == "Velocity loop" else []
         axis = (self.machine, self.file.field, self.fresh)
-        left = pn.Column(*axis, *groups, width=330, margin=(0, 8, 0, 0))
+        controls = pn.Column(*axis, *groups, width=330, margin=(0, 8, 0, 0))
         p = self.plots
         columns = ((p.magnitude, p.phase), (p.nyquist, self.plane.plot), (p.step, p.z_plane))
         pictures = pn.Row(
@@ -250,11 +250,11 @@ class DesignView:
         )
         bar = pn.Row(pn.pane.HTML("Loop broken at", margin=(6, 0, 0, 5)), self.words["place"], self.pin, margin=(4, 0))
         words = (self.verdict, self.message, self.numbers)
-        right = pn.Column(*words, bar, pictures, self.laws, sizing_mode="stretch_width", margin=0)
-        right.styles = {"position": "sticky", "top": "0", "align-self": "flex-start"}  # in sight of the lowest knob
-        return pn.Row(left, right, sizing_mode="stretch_width")
+        results = pn.Column(*words, bar, pictures, self.laws, sizing_mode="stretch_width", margin=0)
+        results.styles = {"position": "sticky", "top": "0", "align-self": "flex-start"}  # visible beside every knob
+        return pn.Row(controls, results, sizing_mode="stretch_width")
 
-    def _another(self, kind: str) -> Filter:
+    def _default_filter(self, kind: str) -> Filter:
         from emps_design.control.velocity.limits import first_try
 
         return first_try(self.state.axis, self.state.frequency, kind)
@@ -263,7 +263,7 @@ class DesignView:
         self._design_on(self.machines[event.new])
 
     def _design_on(self, axis: Axis) -> None:
-        """Show the specification on ``axis``, and say what came with the axis."""
+        """Design the specification on ``axis``, and list what the axis has changed in the state."""
         before = self.state
         after = before.with_axis(axis)
         self.set_state(after, differences_in_words(before, after))
@@ -273,14 +273,14 @@ class DesignView:
         self.set_state(replace(State.of(self.state.axis), pinned=self.state.pinned))
         self._changed(self.state)
 
-    def _heard(self, name: str, value: Any) -> None:
+    def _on_word(self, name: str, value: Any) -> None:
         if not self._quiet:
             self.turn(name, value)
 
     def turn(self, name: str, value: Any) -> None:
-        """Change one number or word of the state, from whichever tab, and show what comes of it.
+        """Change one number or word of the state, from any tab, and show the new design.
 
-        What is refused changes nothing: the control shows again what the pictures and the numbers stand for.
+        A refused value changes nothing: the control returns to that of the design shown.
         """
         before = self.state
         try:
@@ -309,8 +309,8 @@ class DesignView:
     def _refuse(self, text: str) -> None:
         self._say(text, "stop")
 
-    def _show_pinned(self, said: str = "") -> None:
-        """Draw the pinned design as the grey lines to compare with, or take them away."""
+    def _show_pinned(self, note: str = "") -> None:
+        """Draw the pinned design as grey lines, or remove them."""
         from emps_design.studio.files_view import velocity_design
 
         kept = self.state.pinned
@@ -320,7 +320,7 @@ class DesignView:
         else:
             self.plots.update(self.pinned, self.state.place)
             self.plots.pin()
-        self.refresh(said)
+        self.refresh(note)
 
     def add_axis(self, axis: Axis) -> None:
         """Offer ``axis`` in the list, choose it, and design on it."""
@@ -331,15 +331,15 @@ class DesignView:
         else:
             self.machine.value = axis.name
 
-    def set_state(self, state: State, said: str = "") -> None:
-        """Show ``state`` in every control, and design on it; the message begins with what is ``said``."""
+    def set_state(self, state: State, note: str = "") -> None:
+        """Show ``state`` in every control, and design it; the message begins with ``note``."""
         self.state = state
         self._suit()
         self._show_controls()
-        self._show_pinned(said)
+        self._show_pinned(note)
 
     def _suit(self) -> None:
-        """Have every knob in the words and the range of the axis."""
+        """Give every knob the label and range of the axis."""
         for knob in self.knobs.values():
             knob.suit(self.state)
 
@@ -359,14 +359,14 @@ class DesignView:
             self._quiet = False
 
     def _feasible_note(self, move: bool) -> tuple[str, bool]:
-        """What can be reached in words, and whether there is a design; the state moves there where it may ``move``."""
+        """Return what can be reached in words, and whether there is a design; with ``move`` the state moves there."""
         notes: list[str] = []
-        reachable, asked = feasible(self.state), self.state.frequency
-        frequency = reachable.nearest_frequency(asked)
-        if frequency == asked:
+        reachable, requested = feasible(self.state), self.state.frequency
+        frequency = reachable.nearest_frequency(requested)
+        if frequency == requested:
             notes += [reachable.text, reachable.beyond]
         elif move:
-            notes += [reachable.text, f"The frequency asked for moved from {asked:g} to {frequency:g} rad/s."]
+            notes += [reachable.text, f"The frequency asked for moved from {requested:g} to {frequency:g} rad/s."]
             self.state = self.state.changed(frequency=frequency)
             reachable = feasible(self.state)
             notes.append(reachable.text)
@@ -385,30 +385,30 @@ class DesignView:
             self.knobs["phase_margin_deg"].limit(low, high, self.state.phase_margin_deg)
         return " ".join(filter(None, notes)), not reachable.empty
 
-    def refresh(self, said: str = "") -> None:
-        """Design what the state asks for and show it; where there is no design, show none and say why."""
+    def refresh(self, note: str = "") -> None:
+        """Design the specification of the state and show it; if there is no design, say why."""
         try:
-            self._design(said)
+            self._design(note)
         except EmpsError as error:
             self.design = None
             self.verdict.object = self.numbers.object = self.laws.object = ""
-            self._refuse(f"{said} {error}; there is no design, the pictures are of the one before".strip())
+            self._refuse(f"{note} {error}; there is no design, the pictures are of the one before".strip())
 
-    def _design(self, said: str = "", move: bool = False) -> None:
+    def _design(self, note: str = "", move: bool = False) -> None:
         from emps_design.studio.files_view import velocity_design
 
         notes, reached = self._feasible_note(move)
         self.design = velocity_design(self.state)
         self.verdict.object = self._own(verdict_message(self.design))
         refused = f"{sentence_of(self.design.refused)} " if self.design.refused else ""
-        self._say(f"{refused}{said} {notes}".strip(), "note" if reached and not refused else "stop")
+        self._say(f"{refused}{note} {notes}".strip(), "note" if reached and not refused else "stop")
         state = self.state
         self.plots.update(self.design, state.place)
         self.plots.require(state.required_phase_deg, state.required_overshoot_percent)
-        found = plane(state)
-        if found is not self._plane:
-            self.plane.color(found)
-            self._plane = found
+        regions = plane(state)
+        if regions is not self._plane:
+            self.plane.color(regions)
+            self._plane = regions
         self.plane.show(state.specification, self.design, self.pinned)
         self._show_numbers()
         self.laws.object = self._own(laws_table(state, self.design))
@@ -418,7 +418,7 @@ class DesignView:
             self.numbers.object = self._own(numbers_table(self.state, self.design, self.pinned))
 
     def _own(self, text: str) -> str:
-        """``text`` in the units and words of the axis."""
+        """Return ``text`` in the units of the axis."""
         return self.state.axis.units.text(text)
 
     def _say(self, text: str, level: str) -> None:

@@ -1,6 +1,6 @@
 """The files tab: save and load the whole state; export report, figures, model and gains.
 
-Files that the studio hands out: the report, the figures, the model, the gains; the same bytes for the same state.
+The same state gives files with the same bytes.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from emps_design.compensation import Compensation
     from emps_design.control.velocity.design import VelocityLoopDesign
 
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's first day: an archive carries no clock
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's first day, in place of the time of writing
 
 Work = Callable[[Progress], bytes]
-# A download is a link in a button's dress, which the button's type does not colour.
+# A download is a link styled as a button, which the button's type does not colour.
 BUTTON = ":host { --surface-color: #0072b2; --surface-text-color: #fff; }"
 REPORT = "the whole design as one page to read, print and hand on, with the record where one is loaded"
 VECTORS, PIXELS = "every figure of the design as vectors, for a paper", "the same as pixels, for slides"
@@ -39,14 +39,14 @@ STATE = "everything the controls of all tabs hold, and the pinned design: to go 
 
 
 def velocity_design(state: State) -> VelocityLoopDesign:
-    """The velocity loop that ``state`` asks for."""
+    """Design the velocity loop that ``state`` specifies."""
     from emps_design.control.velocity.design import design_velocity_loop
 
     return design_velocity_loop(state.axis, **state.requested)
 
 
 def report_html(state: State, measured: Mapping[str, Any] | None = None, progress: Progress = no_progress) -> str:
-    """The page of ``report`` for ``state``, with the section on the record ``measured`` where one is loaded.
+    """Return the page of ``report`` for ``state``, with a section on the record ``measured`` if one is loaded.
 
     ``measured`` has ``record``, ``record_axis`` and ``chain`` of :func:`~emps_design.report.assemble.assemble_report`.
     """
@@ -71,7 +71,7 @@ def report_html(state: State, measured: Mapping[str, Any] | None = None, progres
 
 
 def figures(state: State, progress: Progress = no_progress) -> dict[str, Figure]:
-    """The pictures of ``state`` as matplotlib figures by name."""
+    """Return the pictures of ``state`` as matplotlib figures by name."""
     from emps_design.control.force import design_force_loop
     from emps_design.report.diagrams import velocity_and_force_loop_diagram
     from emps_design.report.loop_figures import velocity_loop_figures
@@ -90,18 +90,18 @@ def figures(state: State, progress: Progress = no_progress) -> dict[str, Figure]
 
 
 def figures_zip(state: State, kind: str, progress: Progress = no_progress) -> bytes:
-    """All pictures in one archive; ``kind`` is "svg" or "png"."""
+    """Return all pictures in one archive; ``kind`` is "svg" or "png"."""
     from emps_design.report import style
 
     drawn, made = figures(state, of_part(progress, 0.0, 0.5)), {}
-    for place, (name, one) in enumerate(drawn.items()):
+    for place, (name, figure) in enumerate(drawn.items()):
         progress(name, 0.5 + 0.5 * place / len(drawn))
-        made[f"{name}.{kind}"] = style.svg(one, name).encode() if kind == "svg" else style.png(one)
+        made[f"{name}.{kind}"] = style.svg(figure, name).encode() if kind == "svg" else style.png(figure)
     return _zipped(made)
 
 
 def _zipped(files: dict[str, bytes]) -> bytes:
-    """The ``files`` by name in one archive, the same bytes for the same files."""
+    """Return ``files`` by name in one archive; the same files give the same bytes."""
     out = BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
@@ -110,7 +110,7 @@ def _zipped(files: dict[str, bytes]) -> bytes:
 
 
 def follows(axis: Axis) -> str:
-    """What the controller of ``axis`` follows: "position", "velocity", or "" where it follows no reference."""
+    """Return what the controller of ``axis`` follows: "position", "velocity", or "" for no reference."""
     from emps_design.laws import law_of
 
     kind = "rest position" if axis.controller.kind == "none" else law_of(axis, axis.sampling.period).follows
@@ -118,27 +118,27 @@ def follows(axis: Axis) -> str:
 
 
 def designed(state: State) -> Axis:
-    """The axis of ``state`` with the controller of its design; :class:`EmpsError` where that may not run."""
+    """Return the axis of ``state`` with the controller of its design; :class:`EmpsError` if that is unstable."""
     return state.axis.replace(controller=_for_the_drive(state))
 
 
-def drive_zip(found: Compensation) -> bytes:
-    """The folder for the drive: axis, compensation and controller in C99 with its vectors, in one archive."""
+def drive_zip(compensation: Compensation) -> bytes:
+    """Return the folder for the drive as an archive: axis, compensation, and controller in C99 with its vectors."""
     from emps_design.codegen import export_controller
     from emps_design.codegen.targets import origin_of
 
-    axis = found.axis.to_toml(comments=True)
-    exported = export_controller(found.axis, "c", found.to_dict(), origin_of("axis.toml", axis.encode()))
+    axis = compensation.axis.to_toml(comments=True)
+    exported = export_controller(compensation.axis, "c", compensation.to_dict(), origin_of("axis.toml", axis.encode()))
     files = {
         "axis.toml": axis,
-        "compensation.json": _json_text(found.to_dict()),
+        "compensation.json": _json_text(compensation.to_dict()),
         **{f"code/{name}": content for name, content in exported.files.items()},
     }
     return _zipped({name: text.encode() if isinstance(text, str) else text for name, text in files.items()})
 
 
 def gains_json(state: State) -> str:
-    """The keys and numbers that ``gains --json`` prints for ``state``."""
+    """Return the keys and numbers that ``gains --json`` prints for ``state``."""
     from emps_design.control.velocity.comparison import gains_document
 
     document = gains_document(velocity_design(state))
@@ -146,18 +146,18 @@ def gains_json(state: State) -> str:
 
 
 def _json_text(document: Any) -> str:
-    """``document`` as JSON; what is infinite, such as the error of an unstable loop, is null."""
+    """Return ``document`` as JSON; infinite numbers, such as the error of an unstable loop, are null."""
     document = json.loads(json.dumps(document, default=float), parse_constant=lambda name: None)
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False, default=float) + "\n"
 
 
 def model_toml(state: State) -> str:
-    """The axis with the controller of the design, ready for every command."""
+    """Return the axis with the controller of the design as TOML."""
     return designed(state).to_toml()
 
 
 def _for_the_drive(state: State) -> dict[str, Any]:
-    """The controller that ``state`` asks for; :class:`EmpsError` where its loop is unstable."""
+    """Return the controller table of the design of ``state``; :class:`EmpsError` if its loop is unstable."""
     design = velocity_design(state)
     if design.refused:
         raise EmpsError(f"no controller is handed out: {design.refused}")
@@ -165,7 +165,7 @@ def _for_the_drive(state: State) -> dict[str, Any]:
 
 
 class FilesView:
-    """Buttons that hand out files of the state as it is now, and a field that loads a saved state."""
+    """Buttons that download files of the current state, and a field that loads a saved state."""
 
     def __init__(
         self, state: Callable[[], State], measured: Callable[[], dict[str, Any]], loaded: Callable[[State], None]
@@ -178,11 +178,11 @@ class FilesView:
             return lambda progress: report_html(now, of_record, progress).encode()
 
         def pictures(kind: str) -> Callable[[], Work]:
-            def begun() -> Work:
+            def begin() -> Work:
                 now = state()
                 return lambda progress: figures_zip(now, kind, progress)
 
-            return begun
+            return begin
 
         long: tuple[tuple[str, str, str, Callable[[], Work]], ...] = (
             ("Report (HTML)", "report.html", REPORT, report),
@@ -195,7 +195,7 @@ class FilesView:
             ("State (TOML)", "state.toml", STATE, lambda: state().to_toml()),
         )
         made: list[tuple[str, str, str, Callable[[], Any]]] = [
-            (label, name, what, self._worked_out(name, begin)) for label, name, what, begin in long
+            (label, name, what, self._in_background(name, begin)) for label, name, what, begin in long
         ]
         made += [(label, name, what, self._at_once(name, make)) for label, name, what, make in short]
         rows = [
@@ -233,20 +233,20 @@ class FilesView:
             except EmpsError as error:
                 self._refuse(str(error))
                 raise
-            return self._handed(name, data)
+            return self._deliver(name, data)
 
         return callback
 
-    def _worked_out(self, name: str, begin: Callable[[], Work]) -> Callable[[], Awaitable[BytesIO]]:
-        """A download whose work runs beside the page, of what ``begin()`` finds when the button is pressed."""
+    def _in_background(self, name: str, begin: Callable[[], Work]) -> Callable[[], Awaitable[BytesIO]]:
+        """Return a download callback that runs the work of ``begin()``, called when the button is pressed."""
 
         async def callback() -> BytesIO:
             self._say(f"emps-design-{name} is at work", "note")
-            return self._handed(name, await self.job.awaited(begin(), self._refuse))
+            return self._deliver(name, await self.job.awaited(begin(), self._refuse))
 
         return callback
 
-    def _handed(self, name: str, data: bytes) -> BytesIO:
+    def _deliver(self, name: str, data: bytes) -> BytesIO:
         self._say(f"emps-design-{name} is handed to the browser's downloads", "good")
         return BytesIO(data)
 
@@ -257,7 +257,7 @@ class FilesView:
         if not event.new:
             return
         name, content = self.load.filename or "state", bytes(event.new)
-        self.load.value = None  # here and in the browser, so that the same file is heard again
+        self.load.value = None  # here and in the browser, so that the same file can be loaded again
         self.load.clear()
         try:
             self._loaded(State.from_toml(content.decode("utf-8", errors="strict"), name))

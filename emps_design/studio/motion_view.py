@@ -1,7 +1,4 @@
-"""The motion tab: a motion of one's own, simulated under the cascade of the design.
-
-What the motion tab runs: a motion of one's own under the design's cascade, beside the axis's own controller.
-"""
+"""The motion tab: a motion of the user's choice, simulated with the cascade of the design and the axis's controller."""
 
 from __future__ import annotations
 
@@ -46,7 +43,7 @@ titles may have units. Way points are enough: between its rows the reference goe
 
 @dataclass(frozen=True)
 class MotionRuns:
-    """Runs along one reference by the names of their controllers; ``notes`` say what is not there, and why."""
+    """Runs along one reference by the names of their controllers; ``notes`` say why a run is missing."""
 
     state: State
     about: str
@@ -55,45 +52,45 @@ class MotionRuns:
     notes: tuple[str, ...]
 
     def verdict(self) -> tuple[str, str]:
-        """How good it is, and the sentence that says it."""
-        found, own = self.runs[DESIGN].to_dict(), self.runs.get(OWN)
-        error, rate = found["tracking_error"], f"{self.loop.every}. " if self.loop.every > 1 else ""
+        """Return the level of the verdict, one of the keys of a message, and its sentence."""
+        document, own = self.runs[DESIGN].to_dict(), self.runs.get(OWN)
+        error, rate = document["tracking_error"], f"{self.loop.every}. " if self.loop.every > 1 else ""
         text = (
             f"{self.about}, kp {self.loop.kp:g} 1/s in every {rate}sample: tracking error "
             f"{quantity(error['rms'], 'm')} rms, {quantity(error['largest'], 'm')} at most"
         )
-        clipped = found["saturated_share"]
+        clipped = document["saturated_share"]
         text = f"{text}; at the limit of the command {100.0 * clipped:.3g} %."
         if not self.loop.stable:
             return "stop", f"The cascade of this design is unstable. {text}"
-        in_place = {} if own is None else own.to_dict()["tracking_error"]
-        worse = any(error[name] > in_place[name] for name in ("rms", "largest") if in_place)
+        own_error = {} if own is None else own.to_dict()["tracking_error"]
+        worse = any(error[name] > own_error[name] for name in ("rms", "largest") if own_error)
         if worse:
             text += (
-                f" The axis's own controller follows more closely: {quantity(in_place['rms'], 'm')} rms, "
-                f"{quantity(in_place['largest'], 'm')} at most."
+                f" The axis's own controller follows more closely: {quantity(own_error['rms'], 'm')} rms, "
+                f"{quantity(own_error['largest'], 'm')} at most."
             )
-        advice = advise("simulate", found)
+        advice = advise("simulate", document)
         if advice.level != SAFE:
             text = f"{sentence_of(advice.text)} {text}"
         return ("warning" if worse and advice.level == SAFE else LEVELS[advice.level][0]), text
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Numbers of each run, a row each, after the row of heads."""
+        """Return the row of headings, then a row of numbers for each run."""
         rows: list[tuple[str, ...]] = [
             ("", "error, rms", "error, largest", "velocity, largest", "command, largest", "at its limit")
         ]
-        for name, found in self.runs.items():
-            said = found.to_dict()
-            error, most = said["tracking_error"], said["largest"]
+        for name, followed in self.runs.items():
+            document = followed.to_dict()
+            error, most = document["tracking_error"], document["largest"]
             numbers = ((error["rms"], "m"), (error["largest"], "m"), (most["velocity"], "m/s"), (most["voltage"], "V"))
-            share = f"{100.0 * said['saturated_share']:.3g} %"
+            share = f"{100.0 * document['saturated_share']:.3g} %"
             rows.append((name, *(quantity(value, unit) for value, unit in numbers), share))
         return rows
 
 
 def design_loop(state: State) -> PositionLoopDesign:
-    """The cascade of the design of ``state``: the position loop around it, at the rate that the axis has for it."""
+    """Return the cascade of the design of ``state``: the position loop around it, at the rate of the axis."""
     from emps_design.control.position import PositionLoopDesign
     from emps_design.studio.files_view import velocity_design
 
@@ -104,7 +101,7 @@ def design_loop(state: State) -> PositionLoopDesign:
 
 
 def design_axis(state: State, loop: PositionLoopDesign) -> Axis:
-    """The axis of ``state`` under the cascade ``loop``, with the feed-forward that was chosen."""
+    """Return the axis of ``state`` with the cascade ``loop`` and the chosen feed-forward."""
     tables = {"of the axis": state.axis.controller.feedforward or {}, **loop.feedforwards}
     return loop.axis(**tables[state.feedforward])
 
@@ -112,9 +109,9 @@ def design_axis(state: State, loop: PositionLoopDesign) -> Axis:
 def reference_of(
     state: State, file: tuple[str, bytes] | None, record: Record | None
 ) -> tuple[str, np.ndarray, np.ndarray | None]:
-    """What the motion of ``state`` is in words, its positions (n,) [m], and a force (n,) [N] on the axis or None.
+    """Return the motion of ``state`` in words, its positions (n,) [m], and a force (n,) [N] on the axis or None.
 
-    ``file`` is a name and a content: columns t, q_ref, and f_ext where a force acts.
+    ``file`` is a name and a content with the columns t, q_ref, and f_ext if a force acts.
     """
     from emps_design.simulation.scenarios import reference_from_bytes
     from emps_design.simulation.synthetic import there_and_back
@@ -136,7 +133,7 @@ def reference_of(
 
 
 def move(state: State, file: tuple[str, bytes] | None, record: Record | None, progress: Progress) -> MotionRuns:
-    """Simulate the motion of ``state`` under the design, and under the axis's own controller where that follows it."""
+    """Simulate the motion of ``state`` with the design, and with the axis's own controller if it follows positions."""
     from emps_design.simulation.scenarios import follow
     from emps_design.studio.files_view import follows
 
@@ -157,13 +154,13 @@ def move(state: State, file: tuple[str, bytes] | None, record: Record | None, pr
 
 
 class MotionView:
-    """Choose a motion, run it, see reference, error and command of the design and of the axis as it is."""
+    """Choose a motion and run it; shows reference, error and command with the design and with the axis as it is."""
 
     def __init__(
         self, state: Callable[[], State], turn: Callable[[str, Any], None], record: Callable[[], Record | None]
     ):
         self._state, self._record, now = state, record, state()
-        self.found: MotionRuns | None = None
+        self.motion_runs: MotionRuns | None = None
         self._of: State | None = None
         self._along: Record | None = None
         self._file: tuple[str, bytes] | None = None
@@ -197,7 +194,7 @@ class MotionView:
         self.show(now)
 
     def show(self, state: State) -> None:
-        """Show the numbers of ``state``, and no result of others."""
+        """Show the numbers of ``state``, and remove a result of other numbers."""
         for name, select in self.words.items():
             select.value = getattr(state, name)
         for name, field in self.fields.items():
@@ -212,9 +209,9 @@ class MotionView:
             self.withdraw()
 
     def withdraw(self) -> None:
-        """Show no result: the one before was of other numbers."""
+        """Remove the result: it was of other numbers."""
         self.job.stop()
-        self.found, self._of = None, None
+        self.motion_runs, self._of = None, None
         self.message.object, self.table.object, self.picture.object = "", INTRODUCTION, ""
 
     def _uploaded(self, event: Any) -> None:
@@ -231,23 +228,24 @@ class MotionView:
         def failed(text: str) -> None:
             self.message.object = units.text(message(text, "stop"))
 
-        def done(found: MotionRuns) -> None:
+        def done(motion_runs: MotionRuns) -> None:
             if self._of is state:
-                self._done(found)
+                self._done(motion_runs)
 
         self.job.start(lambda progress: move(state, file, record, progress), done, failed)
 
-    def _done(self, found: MotionRuns) -> None:
-        self.found, units = found, found.state.axis.units
-        drawn = svg(labelled(motion_figure(found.runs), units), "motion")  # before the words that stand over it
-        level, text = found.verdict()
-        self.message.object = units.text(judgement(text, level, "".join(f"<br>{inline(one)}" for one in found.notes)))
-        heads, *rows = ([inline(cell) for cell in row] for row in found.rows())
+    def _done(self, motion_runs: MotionRuns) -> None:
+        self.motion_runs, units = motion_runs, motion_runs.state.axis.units
+        drawn = svg(labelled(motion_figure(motion_runs.runs), units), "motion")  # before the words that stand over it
+        level, text = motion_runs.verdict()
+        notes = "".join(f"<br>{inline(note)}" for note in motion_runs.notes)
+        self.message.object = units.text(judgement(text, level, notes))
+        heads, *rows = ([inline(cell) for cell in row] for row in motion_runs.rows())
         self.table.object = units.text(numbers(heads, rows))
         self.picture.object = drawn
 
 
 def read_by_motion(state: State) -> tuple[Any, ...]:
-    """What of ``state`` a motion depends on."""
+    """Return the part of ``state`` that a motion depends on."""
     shape = (state.motion, *(getattr(state, name) for name in SHAPE), state.position_kp, state.feedforward)
     return state.axis, tuple(state.requested.items()), shape

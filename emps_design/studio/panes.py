@@ -1,10 +1,7 @@
-"""Parts of the studio's page: panes of words and tables, fields that open a file, long work beside the page.
+"""Parts of the studio's pages: panes of text and tables, a field that opens an axis file, and jobs in a thread.
 
-A pane of words and tables in the studio's style, which its shadow root would keep out otherwise.
-
-A field that opens an axis file of one's own, in whichever tab it stands.
-
-Long work beside the page: one thread, its progress shown, and a cancel that the work hears at its next step.
+A pane carries the studio's style itself: its shadow root would keep it out otherwise. A job shows its progress and can
+be cancelled.
 """
 
 from __future__ import annotations
@@ -52,18 +49,18 @@ CANCELLED = "Cancelled; nothing was changed."
 
 
 def html(text: str = "", **options: Any) -> pn.pane.HTML:
-    """Return a pane of HTML that stretches over the width it has."""
+    """Return a pane of HTML that takes the available width."""
     return pn.pane.HTML(text, stylesheets=[STYLE], **{"sizing_mode": "stretch_width", "margin": (0, 5), **options})
 
 
 def message(text: str, level: str, more: str = "") -> str:
-    """Return ``text`` as the HTML of a message, ``stop`` read out at once by screen readers; ``more`` is HTML."""
+    """Return ``text`` as the HTML of a message; screen readers read level ``stop`` at once; ``more`` is HTML."""
     role = "alert" if level == "stop" else "status"
     return f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
 
 
 def judgement(text: str, level: str, more: str = "") -> str:
-    """Return the message on a result as HTML: what to do with it first, then ``text``, which says why.
+    """Return the message on a result as HTML: what to do with it, then the reason ``text``.
 
     >>> judgement("The loop is unstable.", "stop")
     '<div class="message stop" role="alert"><b>Do not run this.</b> The loop is unstable.</div>'
@@ -78,27 +75,27 @@ def numbers(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     >>> numbers(("", "mass"), [("found", "2 kg")])
     '<table class="numbers"><tr><th></th><th>mass</th></tr><tr><th>found</th><td>2 kg</td></tr></table>'
     """
-    head = "".join(f"<th>{one}</th>" for one in heads)
+    head = "".join(f"<th>{title}</th>" for title in heads)
     lines = (f"<th>{name}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}" for name, *cells in rows)
     return f'<table class="numbers"><tr>{head}</tr>{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
 
 
 @cache
 def _page_style() -> str:
-    """The style of the report's pages, for blocks of a page inside a pane."""
+    """Return the style of the report's pages, for blocks of a page inside a pane."""
     css = (files("emps_design.report") / "templates" / "page.css").read_text(encoding="utf-8")
     return css.replace(":root", ":host")
 
 
 def blocks() -> pn.pane.HTML:
-    """Return a pane for blocks of a report's page, in the look of the reports."""
+    """Return a pane for blocks of a report's page, in their style."""
     return pn.pane.HTML("", stylesheets=[_page_style()], sizing_mode="stretch_width", margin=(0, 5))
 
 
 class AxisFile:
-    """A field for an axis file; ``take(axis)`` has the axis, ``refuse(text)`` says why there is none.
+    """A field for an axis file; calls ``take(axis)``, or ``refuse(text)`` with the reason.
 
-    One that has the name of an embedded machine has that of its file as well, and is another beside it.
+    An axis with the name of an embedded machine gets the name of its file as well, so that both can be chosen.
     """
 
     def __init__(self, take: Callable[[Axis], None], refuse: Callable[[str], None], width: int = 230):
@@ -112,7 +109,7 @@ class AxisFile:
         if not event.new:
             return
         name, content = PurePath((self.field.filename or "axis.toml").replace("\\", "/")).name, bytes(event.new)
-        self.field.value = None  # here and in the browser, so that the same file is opened again once it was edited
+        self.field.value = None  # here and in the browser, so that the same file can be opened again after an edit
         self.field.clear()
         try:
             axis = Axis.from_toml(content.decode("utf-8"), name)
@@ -125,14 +122,14 @@ class AxisFile:
 
 
 class Cancelled(BaseException):
-    """The person at the page asked to stop; no step of the work may take it for a failure of its own."""
+    """Raised in a job that the user has cancelled; a BaseException, so that no step of the job handles it."""
 
 
 class Job:
-    """Runs ``work(progress)`` in a thread; ``view`` has the bar and the cancel button; one job at a time.
+    """Runs ``work(progress)`` in a thread, one job at a time; ``view`` has the progress bar and the cancel button.
 
-    ``progress(stage, fraction)`` shows where the work is. Once cancel was pressed :class:`Cancelled` is raised in the
-    thread, wherever the work is, at the next instruction of Python's: compiled steps between them take moments.
+    ``progress(stage, fraction)`` updates the bar. After a cancel, :class:`Cancelled` is raised in the thread at its
+    next Python instruction; compiled steps in between are short.
     """
 
     def __init__(self) -> None:
@@ -145,44 +142,44 @@ class Job:
         self._now: tuple[str, float] = ("", 0.0)
         self._outcome: tuple[str, Any] | None = None
         self._poll: Any = None
-        self._next: tuple[Any, ...] | None = None  # what was started while work was stopping
+        self._next: tuple[Any, ...] | None = None  # a job started while another was stopping
 
     @property
     def running(self) -> bool:
-        """Whether work is going on."""
+        """Whether a job runs."""
         return self._poll is not None
 
     @property
     def occupied(self) -> bool:
-        """Whether work is going on that nobody asked to stop: no other can be started."""
+        """Whether a job runs that was not cancelled: no other can be started."""
         return self.running and not self._stop.is_set()
 
     def stop(self) -> None:
-        """Ask the work that is going on, if any, to stop; nothing waits for its end any more."""
+        """Cancel the running job, if any, and the one that waits for its end."""
         self._next = None
         self._stop.set()
 
     def awaited(self, work: Callable[[Callable], Any], failed: Callable[[str], None]) -> asyncio.Future[Any]:
-        """Start ``work`` from a coroutine; what it makes, once it is done.
+        """Start ``work`` from a coroutine and return a future of what it returns.
 
-        Cancelled, after ``failed(message)``, where the work fails, or a job runs already.
+        If the work fails or a job runs already, ``failed(message)`` is called and the future is cancelled.
         """
-        made: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
         def give_up(text: str) -> None:
             failed(text)
-            made.cancel()
+            future.cancel()
 
-        if self.running or not self.start(work, made.set_result, give_up):
+        if self.running or not self.start(work, future.set_result, give_up):
             give_up("Other work is going on: cancel it, or wait for its end.")
-        return made
+        return future
 
     def start(
         self, work: Callable[[Callable], Any], done: Callable[[Any], None], failed: Callable[[str], None]
     ) -> bool:
-        """Start ``work``; later call ``done(result)`` or ``failed(message)``. False where a job runs already.
+        """Start ``work`` and later call ``done(result)`` or ``failed(message)``; return False if a job runs already.
 
-        One that was asked to stop ends first, with no word of it.
+        A cancelled job ends first, without a message.
         """
         if self.occupied:
             return False

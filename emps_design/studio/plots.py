@@ -1,6 +1,7 @@
-"""The pictures that follow the controls: made once, then only their data change, so that a turn shows at once.
+"""The pictures of the design tab, and the specifications that can be reached.
 
-Which specifications can be reached: for the controls that must not leave them, and for the plane that shows them.
+The pictures are made once; afterwards only their data change, so that they follow the controls at once. The reachable
+specifications limit the controls and colour the plane of specifications.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _TURN = np.linspace(0.0, 2.0 * np.pi, 120)
 
 @dataclass(frozen=True)
 class Plane:
-    """What happens, ``kind`` (m, n) as places in ``KINDS``, at the centres of the cells of a plane.
+    """Kinds of loops over a plane of specifications: ``kind`` (m, n) as indices into ``KINDS``, at the cells' centres.
 
     ``x`` (n,) [rad/s] is evenly spaced in its logarithm, from end to end of ``range``; ``y`` (m,) are phase margins
     [deg].
@@ -54,10 +55,10 @@ class Plane:
 
 @dataclass(frozen=True)
 class Feasible:
-    """Frequencies [rad/s] with any design, phase margins [deg] to be had at one of them, and why not more or less.
+    """Reachable frequencies [rad/s], reachable phase margins [deg] at one of them, and what limits them in words.
 
-    ``low`` and ``high`` are None where that frequency has nothing, ``frequencies`` where none has anything; ``upper``
-    [rad/s] is the end of the control.
+    ``low`` and ``high`` are None if no phase margin can be reached at that frequency, ``frequencies`` if none can at
+    any; ``upper`` [rad/s] is the end of the control.
     """
 
     frequencies: tuple[float, float] | None
@@ -68,32 +69,32 @@ class Feasible:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing can be had at that frequency."""
+        """Whether no phase margin can be reached at that frequency."""
         return self.low is None
 
     @property
     def beyond(self) -> str:
-        """What ends the frequencies."""
+        """What limits the frequencies, in words."""
         if self.frequencies is None:
             return "Sample faster or remove delay."
         highest = self.frequencies[1]
         return f"Above {highest:g} rad/s every phase margin is unstable." * (highest < self.upper)
 
     def nearest(self, phase_margin_deg: float) -> float | None:
-        """The reachable phase margin [deg] next to ``phase_margin_deg``; None where nothing can be had."""
+        """Return the reachable phase margin [deg] nearest to ``phase_margin_deg``, or None."""
         return None if self.low is None else float(np.clip(phase_margin_deg, self.low, self.high))
 
     def nearest_frequency(self, frequency: float) -> float:
-        """The frequency [rad/s] with any design next to ``frequency``, itself where there is none."""
+        """Return the reachable frequency [rad/s] nearest to ``frequency``, or ``frequency`` if there is none."""
         return frequency if self.frequencies is None else float(np.clip(frequency, *self.frequencies))
 
 
 def _pairs(state: State) -> Pairs:
-    """What pairs of a frequency and a phase margin mean on the axis of ``state``, with its structure and filters."""
+    """Return the specifications by frequency and phase margin for axis, structure and filters of ``state``."""
     from emps_design.control.velocity.specification import pairs_by_closed_form
 
-    asked = state.requested
-    return pairs_by_closed_form(state.axis, asked, structure=asked["structure"], filters=asked["filters"])
+    requested = state.requested
+    return pairs_by_closed_form(state.axis, requested, structure=requested["structure"], filters=requested["filters"])
 
 
 def _designs(state: State, frequency: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,9 +108,9 @@ def _designs(state: State, frequency: np.ndarray, phases: np.ndarray) -> tuple[n
 
 
 def feasible(state: State) -> Feasible:
-    """Return what positive gains with a stable sampled loop can reach around the state's specification.
+    """Return what positive gains with a stable sampled loop can reach around the specification of ``state``.
 
-    Of several intervals of the phase margin it is the one nearest to the state's.
+    Of several intervals of the phase margin it takes the one nearest to that of ``state``.
 
     >>> from emps_design.machines import machine
     >>> found = feasible(State.of(machine("emps2018")).changed(computation_delay=1))
@@ -152,12 +153,12 @@ def _reachable(table: str) -> tuple[float, float] | None:
 
 
 def reachable_frequencies(state: State) -> tuple[float, float] | None:
-    """Lowest and highest frequency [rad/s] of the control at which any phase margin can be reached; None for none."""
-    return _reachable(_question(state).to_toml())
+    """Return the lowest and highest frequency [rad/s] of the control with any reachable phase margin, or None."""
+    return _reachable(_velocity_loop_alone(state).to_toml())
 
 
-def _question(state: State, **kept: Any) -> State:
-    """``state`` with what its velocity loop is made of alone, so that equal questions are equal."""
+def _velocity_loop_alone(state: State, **kept: Any) -> State:
+    """Return ``state`` with first values for all that the velocity loop does not depend on, as a key of the caches."""
     law: dict[str, Any] = {"specification": state.specification, "structure": state.structure, "filters": state.filters}
     return replace(State.plain(state.axis), **law, **kept)
 
@@ -181,12 +182,12 @@ def _plane(table: str, columns: int, rows: int) -> Plane:
 
 
 def plane(state: State, columns: int = 90, rows: int = 60) -> Plane:
-    """Return what happens at frequencies, as the specification of ``state`` means them, and phase margins."""
-    return _plane(_question(state, required_phase_deg=state.required_phase_deg).to_toml(), columns, rows)
+    """Return the kinds of loops over frequencies, as the specification of ``state`` means them, and phase margins."""
+    return _plane(_velocity_loop_alone(state, required_phase_deg=state.required_phase_deg).to_toml(), columns, rows)
 
 
 def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any) -> figure:
-    """An empty figure in the studio's look, its axes named with their units."""
+    """Return an empty figure in the studio's style; ``x`` and ``y`` are the labels of its axes with units."""
     plot = figure(
         title=Title(text=title, text_font_size="12px"),
         x_axis_label=x,
@@ -210,7 +211,7 @@ def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any) ->
 
 
 def _frame(plot: figure, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Let ``plot`` show at least these ranges, a circle as a circle, whatever its data are."""
+    """Let ``plot`` show at least these ranges with equal scales, whatever its data are."""
     corners = _points(plot, _source(x=list(x), y=list(y)), "x", "y", fill_alpha=0.0, line_alpha=0.0)
     plot.x_range = DataRange1d(renderers=[corners], range_padding=0.0)
     plot.y_range = DataRange1d(renderers=[corners], range_padding=0.0)
@@ -220,7 +221,7 @@ def _source(*names: str, **columns: Any) -> ColumnDataSource:
     return ColumnDataSource({name: [] for name in names} | columns)
 
 
-# A glyph added as it is: the methods of a figure make four more of each, for selections that these pictures have not.
+# Glyphs are added directly: the methods of a figure make four more of each, for selections that are not used here.
 def _line(plot: figure, source: ColumnDataSource, x: str, y: str, **look: Any) -> GlyphRenderer:
     return plot.add_glyph(source, Line(x=x, y=y, **look))
 
@@ -230,7 +231,7 @@ def _points(plot: figure, source: ColumnDataSource, x: str, y: str, **look: Any)
 
 
 def _legend(items: list[LegendItem], **look: Any) -> Legend:
-    """A legend in small type; its ``look`` is not checked, for bokeh's annotations refuse a number as padding."""
+    """Return a legend in small type; ``look`` is untyped because bokeh's annotations refuse a number as padding."""
     return Legend(items=items, label_text_font_size="10px", **look)
 
 
@@ -356,7 +357,7 @@ class LoopPlots:
         self.circle.data = {"re": -1.0 + radius * np.cos(_TURN), "im": radius * np.sin(_TURN)}
 
     def pin(self) -> None:
-        """Keep what is shown now as the thin grey lines to compare with."""
+        """Keep the design that is shown as thin grey lines to compare with."""
         stable = len(self.steps["sampled"].data["t"]) > 0
         self.lines["pinned"].data = dict(self.lines["sampled"].data)
         self.steps["pinned"].data = dict(self.steps["sampled" if stable else "continuous"].data)
@@ -365,7 +366,7 @@ class LoopPlots:
         self.pinned_item.visible = True
 
     def unpin(self) -> None:
-        """Forget the pinned design."""
+        """Remove the pinned design."""
         for source in (self.lines["pinned"], self.steps["pinned"], self.poles["pinned"]):
             source.data = {name: [] for name in source.data}
         self.pinned_item.visible = False
@@ -422,19 +423,19 @@ class PlanePlot:
         self.plot.x_range = Range1d(start=1.0, end=10.0)
         self.plot.y_range = Range1d(start=self.PHASES[0], end=self.PHASES[1])
 
-    def color(self, found: Plane) -> None:
-        """Colour the plane by what was ``found``."""
-        low, high = found.range
-        self.cells.data = {"kind": [found.kind], "x": [low], "width": [high - low]}
+    def color(self, regions: Plane) -> None:
+        """Colour the plane by the kinds of ``regions``."""
+        low, high = regions.range
+        self.cells.data = {"kind": [regions.kind], "x": [low], "width": [high - low]}
         self.plot.x_range.update(start=low, end=high)
 
     def show(self, specification: str, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> None:
-        """Mark ``design`` and the pinned one over what ``specification`` says the frequency is."""
+        """Mark ``design`` and the pinned one at their crossover or bandwidth, as ``specification`` says."""
         names = {"crossover": "crossover", "bandwidth": "closed-loop −3 dB bandwidth"}
         self.plot.xaxis.axis_label = f"{names[specification]} [rad/s]"
-        for key, one in (("here", design), ("pinned", pinned)):
-            there = [] if one is None else [one]
+        for key, marked in (("here", design), ("pinned", pinned)):
+            designs = [] if marked is None else [marked]
             self.marks[key].data = {
-                "x": [getattr(d, specification) for d in there],
-                "y": [d.phase_margin_deg for d in there],
+                "x": [getattr(d, specification) for d in designs],
+                "y": [d.phase_margin_deg for d in designs],
             }

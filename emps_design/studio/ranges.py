@@ -1,9 +1,8 @@
-"""The numbers that controls set: label, range, step and first value, all sized to the axis at hand.
+"""The numbers of the controls: label, range, step and first value, scaled to the axis.
 
-They are written for an ordinary axis, the embedded emps2018. On another one a mass is that of its load, a force that of
-its friction or its motor, and a frequency what its sampling and its current loop allow.
-
-The requirements of a velocity loop, and the specification that a session starts with: one that meets them.
+:data:`CHOICES` is for the embedded emps2018. For another axis masses scale with its load, forces with its friction or
+motor, and frequencies with its sampling and current loop. The specification of a new session is one whose design meets
+the first requirements.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ PHASES = (60.0, 70.0, 80.0)  # deg
 class Choice:
     """A number that a control sets: its label with the unit, its range, the step of the control, and its first value.
 
-    ``size`` names what makes it larger or smaller on another axis, one of those of :func:`sizes`; "" for what is alike
-    on every axis. A ``frequency`` is in rad/s, and may be given as text with its unit, such as 30Hz.
+    ``size`` is the key of :func:`sizes` that the number scales with, "" if it is the same on every axis. A
+    ``frequency`` is in rad/s, and may be given as text with its unit, such as 30Hz.
     """
 
     label: str
@@ -56,11 +55,11 @@ class Choice:
         return self.lower <= value <= self.upper
 
     def with_value(self, value: float) -> Choice:
-        """The same with a range that has ``value`` in it."""
+        """Return the choice with its range extended to ``value``."""
         return self if self.holds(value) else replace(self, lower=min(self.lower, value), upper=max(self.upper, value))
 
     def of_any_axis(self, value: Any) -> Choice:
-        """The same with ``value`` in its range where that may be a number of a smaller or a larger axis."""
+        """Return the choice with its range extended to ``value`` if that is plausible on a smaller or larger axis."""
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if self.size and number and self.lower / ANY_AXIS <= value <= self.upper * ANY_AXIS:
             return self.with_value(value)
@@ -96,36 +95,36 @@ CHOICES: dict[str, Choice] = {
 
 
 def choices_of(axis: Axis) -> dict[str, Choice]:
-    """:data:`CHOICES`, sized to ``axis``.
+    """Return :data:`CHOICES` scaled to ``axis``.
 
     >>> choices_of(machine("emps2018")) == CHOICES
     True
     >>> joint = {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2}
-    >>> found = choices_of(machine("emps2018").replace(motion="rotary", mechanics=joint))["mass"]
-    >>> found.lower, found.first, found.upper
+    >>> mass = choices_of(machine("emps2018").replace(motion="rotary", mechanics=joint))["mass"]
+    >>> mass.lower, mass.first, mass.upper
     (0.01, 0.5, 2.0)
     """
-    found = sizes(axis)
-    sized = {name: _sized(choice, found[choice.size]) if choice.size else choice for name, choice in CHOICES.items()}
+    size_of = sizes(axis)
+    sized = {name: _sized(choice, size_of[choice.size]) if choice.size else choice for name, choice in CHOICES.items()}
     return sized | {name: sized[name].with_value(value) for name, value in _own(axis).items()}
 
 
 def _own(axis: Axis) -> dict[str, float]:
-    """Numbers of the controls that ``axis`` has itself, whatever the range is otherwise."""
+    """Return the controls' numbers that ``axis`` itself has, which extend the ranges."""
     kp = position_gain(axis)
     return {"computation_delay": axis.sampling.computation_delay, **({} if kp is None else {"position_kp": kp})}
 
 
 def position_gain(axis: Axis) -> float | None:
-    """The position gain kp [1/s] that the controller of ``axis`` has; None where it has none, or takes a record's."""
+    """Return the position gain kp [1/s] of the controller of ``axis``; None without one, or if a record has it."""
     kp = (axis.controller.position or {}).get("kp")
     return kp if isinstance(kp, int | float) else None
 
 
 def sizes(axis: Axis) -> dict[str, float]:
-    """How much larger than on the ordinary axis each kind of number is on ``axis``: 1, 2 or 5 times a power of ten.
+    """Return the scale of each kind of number on ``axis`` relative to emps2018: 1, 2 or 5 times a power of ten.
 
-    No motion is quicker than the ordinary one; it is slower where the loop is slow, the motor weak, or friction large.
+    Motions are at most as fast as on emps2018, and slower if the loop is slow, the motor weak or friction large.
     """
     own, ordinary = _quantities(axis), _ordinary()
     ratio = {name: own[name] / ordinary[name] for name in own if own[name] and ordinary[name]}
@@ -151,17 +150,17 @@ def sizes(axis: Axis) -> dict[str, float]:
 
 
 def _quantities(axis: Axis) -> dict[str, float]:
-    """What an axis is sized by, SI; 0 where it does not say."""
+    """Return the quantities that the scales are made of, in SI units; 0 if the axis does not have one."""
     mechanics, drive = axis.mechanics, axis.drive
     limited = drive.command_limit < NO_LIMIT
     motor = drive.force_gain * (drive.supply or 1.0) * drive.command_limit if limited else 0.0
-    left, brake = max(motor - mechanics.coulomb, 0.0), axis.damping
+    spare, brake = max(motor - mechanics.coulomb, 0.0), axis.damping
     return {
         "mass": mechanics.mass,
         "coulomb": mechanics.coulomb,
         "motor": motor,
-        "acceleration": left / mechanics.mass,
-        "speed": left / brake if brake else 0.0,
+        "acceleration": spare / mechanics.mass,
+        "speed": spare / brake if brake else 0.0,
         "frequency": 1.0 / (axis.sampling.period + drive.current_time_constant),
     }
 
@@ -173,13 +172,13 @@ def _ordinary() -> dict[str, float]:
 
 def _sized(choice: Choice, size: float) -> Choice:
     lower, upper, step, first = (
-        float(f"{one * size:.12g}") for one in (choice.lower, choice.upper, choice.step, choice.first)
+        float(f"{number * size:.12g}") for number in (choice.lower, choice.upper, choice.step, choice.first)
     )
     return replace(choice, lower=lower, upper=upper, step=step, first=first)
 
 
 def _decade(milliseconds: float) -> float:
-    """The power of ten next to 1 that takes 0.1 to 5 ms to a range with ``milliseconds`` in it.
+    """Return the power of ten nearest to 1 that scales the range 0.1 to 5 ms to one with ``milliseconds`` in it.
 
     >>> _decade(0.25), _decade(10.0), _decade(0.05)
     (1.0, 10.0, 0.1)
@@ -191,7 +190,10 @@ def _decade(milliseconds: float) -> float:
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a stable design has of what is required: its phase margin [deg], None for any, and its overshoot [%]."""
+    """Phase margin [deg] and overshoot [%] of a stable design, and whether they meet the requirements.
+
+    A phase margin of None is unbounded.
+    """
 
     phase_margin_deg: float | None
     overshoot_percent: float
@@ -200,14 +202,14 @@ class Requirements:
 
     @property
     def met(self) -> bool:
-        """Whether it has all of it."""
+        """Whether both requirements are met."""
         return self.phase_met and self.overshoot_met
 
 
 def requirements(
     design: VelocityLoopDesign, required_phase_deg: float, required_overshoot_percent: float
 ) -> Requirements | None:
-    """What ``design`` has of what is required of it when sampled; None where that loop is unstable."""
+    """Compare the sampled loop of ``design`` with the requirements; None if the loop is unstable."""
     from emps_design.control.velocity.comparison import sampled_step
 
     margins = design.sampled.margins
@@ -219,9 +221,9 @@ def requirements(
 
 
 def first_specification(axis: Axis) -> dict[str, float]:
-    """The first specification on ``axis`` whose design meets the first requirements; {} where none of those tried does.
+    """Return the first specification tried on ``axis`` whose design meets the first requirements, {} if none does.
 
-    The force gain is half of what that design bears, where it bears less than the first.
+    If the force loop is unstable with the first k_e1, it has half of the largest stable one as well.
     """
     return _first(axis.to_toml())
 
@@ -231,25 +233,26 @@ def _first(table: str) -> dict[str, float]:
     axis = Axis.from_toml(table)
     first = {name: choice.first for name, choice in choices_of(axis).items()}
     for share, phase in product(SHARES, PHASES):
-        asked = {"frequency": float(f"{share * first['frequency']:.6g}"), "phase_margin_deg": phase}
-        design = _met(axis, asked, first)
+        specification = {"frequency": float(f"{share * first['frequency']:.6g}"), "phase_margin_deg": phase}
+        design = _acceptable(axis, specification, first)
         if design is not None:
-            return asked | _force_gain(design, first)
+            return specification | _force_gain(design, first)
     return {}
 
 
-def _met(axis: Axis, asked: dict[str, float], first: dict[str, float]) -> VelocityLoopDesign | None:
-    """The design of what is ``asked`` where it has what is required of it and its worst loop is safe."""
+def _acceptable(axis: Axis, specification: dict[str, float], first: dict[str, float]) -> VelocityLoopDesign | None:
+    """Return the design of ``specification`` if it meets the requirements and its worst loop is safe, else None."""
     from emps_design.control.nested_loops import safety
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.verdict import DesignVerdict
 
     try:
-        design = design_velocity_loop(axis, asked["frequency"], phase_margin_deg=asked["phase_margin_deg"])
+        phase = specification["phase_margin_deg"]
+        design = design_velocity_loop(axis, specification["frequency"], phase_margin_deg=phase)
     except EmpsError:  # no gains are positive
         return None
-    found = requirements(design, first["required_phase_deg"], first["required_overshoot_percent"])
-    met = found and found.met and not design.refused and safety(DesignVerdict(design).worst.margins) >= 1.0
+    achieved = requirements(design, first["required_phase_deg"], first["required_overshoot_percent"])
+    met = achieved and achieved.met and not design.refused and safety(DesignVerdict(design).worst.margins) >= 1.0
     return design if met else None
 
 

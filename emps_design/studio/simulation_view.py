@@ -1,6 +1,6 @@
-"""The simulation tab: an operator guides the carriage under the impedance law, with the estimates a little wrong.
+"""The simulation tab: an operator guides the carriage with the impedance law, with estimates that are a little wrong.
 
-What the simulation tab runs: the task with exact and with the worst estimates, all plants, a push into the wall.
+It simulates the task with exact and with the worst estimates, every plant of the mismatch, and a push into the wall.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Simulated:
     wall_poles_stable: bool
 
     def verdict(self) -> tuple[str, str]:
-        """How good it is, and the sentence that says it."""
+        """Return the level of the verdict, one of the keys of a message, and its sentence."""
         state, worst = self.state, self.worst["verdict"]
         text = (
             f"M_a {state.mass:g} kg, B {state.damping:g} N/(m/s), filter {state.filter:g} rad/s on {state.axis.name}: "
@@ -76,14 +76,14 @@ class Simulated:
 
     @property
     def _worst_in_words(self) -> str:
-        """What the worst plant is, and how much of it its curve shows."""
+        """The verdict on the worst plant, and how far its curve shows it."""
         run, verdict = self.runs[WORST], self.worst["verdict"]
         if run.verdict != verdict:
             length = quantity(len(run.t) * self.state.axis.sampling.period, "s", 3)
             return f"{verdict.replace('_', ' ')} by its poles ({run.verdict.replace('_', ' ')} in the {length} drawn)"
         if verdict != "limit_cycle":
             return verdict.replace("_", " ")
-        low, high = (quantity(float(one[0]), "m/s", 2) for one in (run.measures.end_min_v, run.measures.end_max_v))
+        low, high = (quantity(float(speed[0]), "m/s", 2) for speed in (run.measures.end_min_v, run.measures.end_max_v))
         moving = np.flatnonzero(run.v)
         last = int(moving[-1]) if moving.size else 0
         since = quantity(float(run.t[last]), "s", 3)
@@ -91,7 +91,7 @@ class Simulated:
         return f"in a limit cycle, with velocities from {low} to {high} long after the release{still}"
 
     def rows(self) -> list[tuple[str, str]]:
-        """The verdicts, and what the worst plant feels like."""
+        """Return names and values of the verdicts and of what the hand feels on the worst plant."""
         state, worst, wall = self.state, self.worst, self.wall
         exact = self.runs[EXACT].verdict
         share, low, high = self.study.stable_share
@@ -117,7 +117,7 @@ class Simulated:
         ]
 
     def figures(self) -> dict[str, Figure]:
-        """The pictures as matplotlib figures by name."""
+        """Return the pictures as matplotlib figures by name."""
         from emps_design.report.impedance import mismatch_figure, task_figure, wall_figure
 
         return {
@@ -127,7 +127,7 @@ class Simulated:
         }
 
     def captions(self) -> dict[str, str]:
-        """What to see in each of the pictures."""
+        """Return the caption of each picture by name."""
         state, task = self.state, self.study.task
         return {
             "task": f"The hand lets go after {quantity(task.release * task.period, 's', 3)}: the carriage must "
@@ -141,7 +141,7 @@ class Simulated:
 
 
 def simulate(state: State, progress: Progress | None = None) -> Simulated:
-    """Run the impedance law of ``state`` through its task, over its mismatch, and into its wall."""
+    """Simulate the impedance law of ``state``: its task, the plants of its mismatch, and a push into its wall."""
     from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.study import mismatch_study, run_worst
     from emps_design.comanipulation.task import fitted_task
@@ -178,7 +178,7 @@ def simulate(state: State, progress: Progress | None = None) -> Simulated:
 
 
 class SimulationView:
-    """Choose the task, the wall and the mismatch, run them, see force, velocity and position and the verdict."""
+    """Choose task, wall and mismatch and simulate them; shows force, velocity, position and the verdict."""
 
     def __init__(self, state: Callable[[], State], turn: Callable[[str, Any], None]):
         self._state, now = state, state()
@@ -187,7 +187,7 @@ class SimulationView:
         self.fields = {name: Field(name, getattr(now, name), turn, width) for name, width in WIDTHS.items()}
         self.run = pn.widgets.Button(label="Simulate", color="primary", width=100, margin=(22, 6, 2, 6))
         self.run.on_click(lambda event: after_this_event(self._start))  # a number typed just before comes first
-        self._of: State | None = None  # what the result shown, or at work, is of
+        self._of: State | None = None  # the state of the result that is shown or computed
         self.job = Job()
         self.message, self.table = html(), html(INTRODUCTION)
         self.pictures = {name: html() for name in PICTURES}
@@ -215,7 +215,7 @@ class SimulationView:
             self._withdraw()
 
     def _withdraw(self) -> None:
-        """Show no result: the one before was of other numbers."""
+        """Remove the result: it was of other numbers."""
         self.job.stop()
         self._of = None
         self.message.object, self.table.object = "", INTRODUCTION
@@ -231,22 +231,22 @@ class SimulationView:
     def _failed(self, text: str) -> None:
         self.message.object = self._state().axis.units.text(message(text, "stop"))
 
-    def _done(self, found: Simulated) -> None:
-        if found.state is not self._of:
+    def _done(self, simulated: Simulated) -> None:
+        if simulated.state is not self._of:
             return
-        level, text = found.verdict()
-        units = found.state.axis.units
+        level, text = simulated.verdict()
+        units = simulated.state.axis.units
         self.message.object = units.text(judgement(text, level))
         rows = "".join(
-            f"<tr><th>{inline(name)}</th><td><b>{inline(value)}</b></td></tr>" for name, value in found.rows()
+            f"<tr><th>{inline(name)}</th><td><b>{inline(value)}</b></td></tr>" for name, value in simulated.rows()
         )
         self.table.object = units.text(f"<table>{rows}</table>")
-        captions = found.captions()
-        for name, figure in found.figures().items():
+        captions = simulated.captions()
+        for name, figure in simulated.figures().items():
             caption = units.text(inline(captions[name]))
             self.pictures[name].object = f'{svg(labelled(figure, units), name)}<p class="caption">{caption}</p>'
 
 
 def _read(state: State) -> tuple[Any, ...]:
-    """What of ``state`` a simulation depends on."""
+    """Return the part of ``state`` that a simulation depends on."""
     return state.axis, state.task, state.mass, state.damping, state.filter, *(getattr(state, name) for name in WIDTHS)

@@ -1,4 +1,4 @@
-"""What the studio's controls hold, as one object that is saved to and loaded from a TOML file."""
+"""The state of the studio's controls as one object, which can be saved to a TOML file and loaded from it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from emps_design.studio.ranges import CHOICES, Choice, choices_of, first_specifi
 
 MOST_FILTERS = 8
 SPECIFICATIONS = ("crossover", "bandwidth")
-LABELS = {one.label: one for one in STRUCTURES}
+LABELS = {structure.label: structure for structure in STRUCTURES}
 PLACES = ("plant input", "velocity error")
 MOTIONS = ("there and back", "file", "record")
 FEEDFORWARDS = ("of the axis", "none", "velocity", "velocity and acceleration")
@@ -37,10 +37,10 @@ WORDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Everything the controls of all tabs hold, and the design that is pinned.
+    """The numbers and words of the controls of all tabs, and the pinned design.
 
     ``axis`` has the sampling and the current loop of the controls; structure and ``filters`` of the velocity loop are
-    those of its controller until others are chosen. What the numbers are is in :data:`~.ranges.CHOICES`.
+    those of its controller until others are chosen. :data:`~.ranges.CHOICES` has the labels and units of the numbers.
 
     >>> from emps_design.machines import machine
     >>> state = State.of(machine("emps2018"))
@@ -85,21 +85,21 @@ class State:
 
     @classmethod
     def of(cls, axis: Axis) -> State:
-        """The numbers to start with on ``axis``: those of its size, and a specification that meets the requirements."""
+        """Return the start values on ``axis``, with a specification that meets the requirements."""
         specification: dict[str, Any] = first_specification(axis)
         return replace(cls.plain(axis), **specification)
 
     @classmethod
     def plain(cls, axis: Axis) -> State:
-        """The first value of every control on ``axis``, whatever comes of them."""
+        """Return the first value of every control on ``axis``, whether or not the design meets the requirements."""
         first: dict[str, Any] = {name: choice.first for name, choice in choices_of(axis).items()}
         return cls(axis=axis, **{**first, **_clock(axis), **_law(axis)})
 
     def with_axis(self, axis: Axis) -> State:
-        """The same specification on another ``axis``.
+        """Return the same specification on another ``axis``.
 
-        Of the axis are its clock, and the structure, the filters and the position gain of its controller where those
-        of the axis before were left as they are. A number that has another unit on ``axis`` starts anew.
+        Sampling and current loop are those of ``axis``. So are structure, filters and position gain, each unless the
+        user has changed it on the axis before. A number that has another unit on ``axis`` gets its first value.
 
         >>> from emps_design.machines import machine
         >>> light = machine("emps2018").replace(mechanics={"mass": 1.2})
@@ -108,20 +108,20 @@ class State:
         (50.0, 100.0, 100.0)
         """
         plain, before, now = State.plain(axis), _law(self.axis), _law(axis)
-        left = {name for name in now if getattr(self, name) == before[name]}
+        unchanged = {name for name in now if getattr(self, name) == before[name]}
         if position_gain(axis) is None and position_gain(self.axis) is None:
-            left.discard("position_kp")  # neither says anything of it
+            unchanged.discard("position_kp")  # neither axis has one
         other_units = {name for name, choice in CHOICES.items() if _unit(choice, axis) != _unit(choice, self.axis)}
-        taken: dict[str, Any] = {name: getattr(plain, name) for name in (*_clock(axis), *left, *other_units)}
+        taken: dict[str, Any] = {name: getattr(plain, name) for name in (*_clock(axis), *unchanged, *other_units)}
         return replace(self, axis=axis, **taken)
 
     @property
     def choices(self) -> dict[str, Choice]:
-        """The ranges of the controls on the axis, with the numbers in them that came from elsewhere."""
+        """The ranges of the controls on the axis, extended to the numbers of the state."""
         return {name: choice.with_value(getattr(self, name)) for name, choice in choices_of(self.axis).items()}
 
     def changed(self, **values: Any) -> State:
-        """The state with some numbers changed, each within the range of its control, and the axis kept in step."""
+        """Return the state with some numbers changed, each within the range of its control, and the axis updated."""
         return self._changed(values, self.choices)
 
     def _changed(self, values: dict[str, Any], choices: Mapping[str, Choice], source: str = "studio") -> State:
@@ -136,19 +136,20 @@ class State:
 
     @property
     def requested(self) -> dict[str, Any]:
-        """Arguments of the velocity-loop design."""
+        """The arguments of the velocity-loop design."""
         law = {"structure": LABELS[self.structure], "filters": self.filters}
         return {self.specification: self.frequency, "phase_margin_deg": self.phase_margin_deg, **law}
 
     def to_toml(self) -> str:
-        """The state as a TOML document: tables [studio] and [axis], and both in [pinned] where a design is pinned."""
+        """Return the state as TOML: tables [studio] and [axis], and both in [pinned] if a design is pinned."""
         import tomli_w
 
         return tomli_w.dumps(self._tables())
 
     def _tables(self) -> dict[str, Any]:
-        values = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("axis", "pinned")}
-        values["filters"] = [one.model_dump(exclude_none=True) for one in self.filters]
+        names = [field.name for field in fields(self) if field.name not in ("axis", "pinned")]
+        values = {name: getattr(self, name) for name in names}
+        values["filters"] = [filter.model_dump(exclude_none=True) for filter in self.filters]
         pinned = {} if self.pinned is None else {"pinned": self.pinned._tables()}
         return {"studio": values, "axis": self.axis.to_dict(), **pinned}
 
@@ -170,10 +171,10 @@ class State:
         if not isinstance(tables.get("studio"), dict) or not isinstance(tables.get("axis"), dict):
             raise InputError(f"{source}: expected the tables [studio] and [axis] of a state saved by the studio")
         state = cls.of(Axis.from_dict(tables["axis"], f"{source}: axis"))
-        given = tables["studio"]
-        choices = {name: choice.of_any_axis(given.get(name)) for name, choice in choices_of(state.axis).items()}
-        values = {name: checked(name, value, choices, source) for name, value in given.items()}
-        # A clock that says the same as the axis leaves the axis as it is, to the last digit.
+        entries = tables["studio"]
+        choices = {name: choice.of_any_axis(entries.get(name)) for name, choice in choices_of(state.axis).items()}
+        values = {name: checked(name, value, choices, source) for name, value in entries.items()}
+        # Numbers equal to those of the axis leave the axis unchanged, to the last digit.
         other = {name: value for name, value in values.items() if getattr(state, name) != value}
         return state._changed(other, choices, source)
 
@@ -208,27 +209,27 @@ def checked(name: str, value: Any, choices: Mapping[str, Choice] = CHOICES, sour
 
 
 def _filters(tables: Any, source: str) -> tuple[Filter, ...]:
-    """Filters from tables like those of an axis file; a frequency may have its unit, Hz where it has none."""
+    """Return filters from tables like those of an axis file; a frequency may have its unit, else it is in Hz."""
     if not isinstance(tables, list | tuple) or len(tables) > MOST_FILTERS:
         raise InputError(f"{source}: filters: found {tables!r}, expected up to {MOST_FILTERS} tables")
-    found = []
+    filters = []
     for place, table in enumerate(tables):
-        given = dict(table) if isinstance(table, dict | Filter) else {}
+        entries = dict(table) if isinstance(table, dict | Filter) else {}
         try:
-            if isinstance(given.get("frequency"), str):
-                given["frequency"] = read_frequency(given["frequency"], "Hz")
-            found.append(Filter.model_validate(given))
+            if isinstance(entries.get("frequency"), str):
+                entries["frequency"] = read_frequency(entries["frequency"], "Hz")
+            filters.append(Filter.model_validate(entries))
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]
             where = ".".join(("filters", str(place), *map(str, problem["loc"])))
             raise InputError(f"{source}: {where}: {problem['msg']}") from error
         except InputError as error:
             raise InputError(f"{source}: filters.{place}: {error}") from error
-    return tuple(found)
+    return tuple(filters)
 
 
 def taken_for(name: str, value: Any) -> str:
-    """The sentence that says what a frequency typed with its unit was taken for; empty for any other ``value``.
+    """Return a sentence with the rad/s of a frequency that was typed with its unit, "" for any other ``value``.
 
     >>> taken_for("frequency", "30Hz"), taken_for("frequency", "188.5"), taken_for("mass", 50.0)
     ('Frequency: 30Hz is 188.496 rad/s.', '', '')
@@ -239,7 +240,7 @@ def taken_for(name: str, value: Any) -> str:
 
 
 def differences_in_words(before: State, after: State) -> str:
-    """The sentence that says what of ``before`` is not as it was in ``after``, on another axis; empty for nothing.
+    """Return a sentence with the numbers of ``before`` that differ in ``after``, on another axis; "" if none does.
 
     >>> from emps_design.machines import machine
     >>> before = State.of(machine("emps2018"))
@@ -247,18 +248,18 @@ def differences_in_words(before: State, after: State) -> str:
     >>> differences_in_words(before, before.with_axis(fast))
     'With fast came sampling period 0.5 ms.'
     """
-    found, anew = [], ""
+    changes, anew = [], ""
     for name, choice in CHOICES.items():
         label, _, unit = choice.label.rpartition(" [")
         if _unit(choice, after.axis) != _unit(choice, before.axis):
             anew = "Numbers in other units start anew."
         elif getattr(before, name) != getattr(after, name):
-            found.append(f"{label[:1].lower()}{label[1:]} {getattr(after, name):g} {unit.rstrip(']')}")
+            changes.append(f"{label[:1].lower()}{label[1:]} {getattr(after, name):g} {unit.rstrip(']')}")
     if before.structure != after.structure:
-        found.append(f"structure {after.structure}")
+        changes.append(f"structure {after.structure}")
     if before.filters != after.filters:
-        found.append(f"{len(after.filters) or 'no'} filter{'s' * (len(after.filters) != 1)}")
-    came = f"With {after.axis.name} came {', '.join(found)}." if found else ""
+        changes.append(f"{len(after.filters) or 'no'} filter{'s' * (len(after.filters) != 1)}")
+    came = f"With {after.axis.name} came {', '.join(changes)}." if changes else ""
     return f"{came} {anew}".strip()
 
 
@@ -268,7 +269,7 @@ def _unit(choice: Choice, axis: Axis) -> str:
 
 
 def _law(axis: Axis) -> dict[str, Any]:
-    """What the controller of ``axis`` says of the loops, and the first position gain where it says none."""
+    """Return structure, filters and position gain of the controller of ``axis``, or the first gain if it has none."""
     kp = position_gain(axis)
     first = choices_of(axis)["position_kp"].first
     return {
@@ -279,7 +280,7 @@ def _law(axis: Axis) -> dict[str, Any]:
 
 
 def _clock(axis: Axis) -> dict[str, Any]:
-    """Sampling and current loop of ``axis`` as the controls show them."""
+    """Return sampling and current loop of ``axis`` as the controls show them."""
     return {
         "period_ms": round(axis.sampling.period * 1e3, 9),
         "computation_delay": axis.sampling.computation_delay,

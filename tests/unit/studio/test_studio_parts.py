@@ -690,22 +690,22 @@ def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(
     program = np.concatenate([np.zeros(100), there_and_back(1e-3, 0.05, 0.2, 1.0, 0.1)])
     for name, axis in (("this design", loop.axis()), ("the axis's own controller", session.state.axis)):
         expected = follow(axis, program).to_dict()["tracking_error"]
-        assert view.found.runs[name].to_dict()["tracking_error"] == expected
+        assert view.motion_runs.runs[name].to_dict()["tracking_error"] == expected
     assert "kp 12 1/s in every 2. sample" in view.message.object
     assert "<svg" in view.picture.object
     turn("required_phase_deg", 20.0)  # nothing that a motion depends on
     assert "<svg" in view.picture.object
     for name, value in (("position_kp", 8.0), ("filters", []), ("structure", "IP"), ("feedforward", "velocity")):
         turn(name, value)
-        assert view.found is None, name
+        assert view.motion_runs is None, name
         assert view.picture.object == view.message.object == ""
         view._start()
-    assert view.found.loop.axis(velocity=1.0).controller == view.found.runs["this design"].axis.controller
-    assert view.found.runs["this design"].axis.controller.velocity["form"] == "ip"
+    assert view.motion_runs.loop.axis(velocity=1.0).controller == view.found.runs["this design"].axis.controller
+    assert view.motion_runs.runs["this design"].axis.controller.velocity["form"] == "ip"
     session.design.machine.value = "emps2018"  # has no controller
-    assert view.found is None
+    assert view.motion_runs is None
     view._start()
-    assert list(view.found.runs) == ["this design"]
+    assert list(view.motion_runs.runs) == ["this design"]
     assert "which follows no position" in view.message.object
 
 
@@ -718,16 +718,16 @@ def test_a_motion_from_a_file_or_the_records_reference(at_once):
     assert "found no file" in view.message.object
     view.file.filename, view.file.value = "C:\\way.csv", b"t,q_ref [mm]\n0,0\n1,50\n2,50\n"
     view._start()
-    run = view.found.runs["this design"].run
+    run = view.motion_runs.runs["this design"].run
     assert run.q_ref[[0, 500, 1000, 2000]] == pytest.approx([0.0, 0.025, 0.05, 0.05])
     assert "way.csv, straight between its rows" in view.message.object
     view.file.value = b"t,q_ref\n0,0\n0,1\n"
-    assert view.found is None
+    assert view.motion_runs is None
     view._start()
     assert "way.csv: column t: sample 1 is not later than the one before" in view.message.object
     session.design.turn("motion", "record")
     view._start()
-    np.testing.assert_allclose(view.found.runs["this design"].run.q_ref, session.data.record.q_ref, atol=1e-12)
+    np.testing.assert_allclose(view.motion_runs.runs["this design"].run.q_ref, session.data.record.q_ref, atol=1e-12)
     assert not view.file.visible
     session.design.turn("motion", "there and back")
     session.design.turn("speed", 1e-5)
@@ -769,11 +769,11 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     session = Session(machine("emps2019").replace(name="own", effects=[ripple, gap]))
     view = session.compensation
     assert view.terms.value == ["inertia", "viscous", "coulomb", "constant", "position_ripple"]
-    assert "backlash is not compensated" in view.left.object
+    assert "backlash is not compensated" in view.not_compensated.object
     assert view.download.disabled
     view.controller.value = OWN
     view._start()
-    found, best = view.found, view.found.achieved
+    found, best = view.compensation, view.found.achieved
     assert "position_ripple" in found.feedforward.terms
     assert f"{found.without:.3g} m without, {best:.3g} with" in view.message.object
     assert "keep kv below" in view.message.object
@@ -787,18 +787,18 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     made = {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
     assert made == {path.name: path.read_bytes() for path in (tmp_path / "code").iterdir()}
     view.terms.value = ["inertia", "viscous", "coulomb", "constant"]
-    assert view.found is None
+    assert view.compensation is None
     assert view.download.disabled
     view._start()
-    assert best < view.found.achieved < view.found.without
+    assert best < view.compensation.achieved < view.found.without
     session.design.machine.value = "emps2018"  # has no controller: the design's is taken
-    assert view.found is None
+    assert view.compensation is None
     assert "position_ripple" not in view.terms.value
     view._start()
     assert view.controller.options == [DESIGN]
-    assert view.found.axis.controller == files_view.designed(session.state).controller
+    assert view.compensation.axis.controller == files_view.designed(session.state).controller
     session.design.turn("frequency", 80.0)
-    assert view.found is None
+    assert view.compensation is None
 
 
 def test_poles_outside_the_unit_circle_are_told_from_those_inside():

@@ -188,13 +188,13 @@ def test_what_was_found_for_a_design_is_withdrawn_where_the_next_is_refused(at_o
     now = state()
     view = CompensationView(lambda: now)
     view._start()
-    assert view.found is not None
+    assert view.compensation is not None
     assert not view.download.disabled
     refused = now.changed(filters=SLOW)
     with pytest.raises(EmpsError):
         files_view.designed(refused)
     view.show(refused)
-    assert view.found is None
+    assert view.compensation is None
     assert view.download.disabled
     assert view.picture.object == view.message.object == ""
 
@@ -202,12 +202,12 @@ def test_what_was_found_for_a_design_is_withdrawn_where_the_next_is_refused(at_o
 def test_a_turn_to_a_refused_design_reaches_every_tab(at_once):
     session = Session(machine("emps2018"))
     session.compensation._start()
-    assert session.compensation.found is not None
+    assert session.compensation.compensation is not None
     session.design.turn("filters", SLOW)
     assert session.design.design.refused
     assert session.state == session.design.state
     assert len(session.state.filters) == 3
-    assert session.compensation.found is None
+    assert session.compensation.compensation is None
     assert session.compensation.download.disabled
 
 
