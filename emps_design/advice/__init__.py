@@ -73,11 +73,6 @@ def _usual(name: str, axis: str, records: Sequence[str]) -> tuple[str, ...]:
     return (name, *records, flag_of("axis"), axis) if name in RECORDS else (name, axis)
 
 
-def with_advice(name: str, document: dict[str, Any], *words: Any, **files: Any) -> dict[str, Any]:
-    """Return ``document`` with its ``advice``; the arguments are those of :func:`advise`."""
-    return {**document, "advice": advise(name, document, *words, **files).to_dict()}
-
-
 def report(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     """Return the worst advice on the parts of a report, the first of equal ones."""
     if document.get("reason"):

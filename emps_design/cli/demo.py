@@ -65,7 +65,7 @@ def _show(report: Report, truth: dict[str, float], record_file: Path) -> None:
 
     from emps_design.cli.output import new_console, say
 
-    velocity, force, identification = report.results.velocity, report.results.force, report.found[0]
+    velocity, force, identification = report.results.velocity, report.results.force, report.identifications[0]
     assert force is not None
     console = new_console()
     say(f"1. A record of {MACHINE}, simulated: {record_file}")

@@ -1,4 +1,4 @@
-"""From names of files to the page of ``report``: reads, asks the library, and hands the results to the page."""
+"""From names of files to the page of ``report``: reads the files, makes the design, and assembles the page."""
 
 from __future__ import annotations
 
@@ -28,50 +28,50 @@ if TYPE_CHECKING:
     from emps_design.records import Record
 
 DESIGN_ON = ("record", "axis")
-K_E1, WALL, OF_MASS = 0.01, 1e4, 100.0  # (m/s)/N, N/m, kg: of a force loop that was asked for without them
+K_E1, WALL, OF_MASS = 0.01, 1e4, 100.0  # (m/s)/N, N/m, kg: defaults of a force loop for an axis of that mass
 
 
 @dataclass(frozen=True)
 class Report:
-    """The page of a design and the results it shows."""
+    """A design with the results that its page shows."""
 
     results: DesignResults
     impedance: ImpedanceAssessment | None = None
-    found: tuple[Identification, ...] = ()
+    identifications: tuple[Identification, ...] = ()
     warnings: tuple[str, ...] = ()
     loops: tuple[NestedLoop, ...] = ()
 
     @cached_property
     def page(self) -> Page:
-        """The page, what to do with the design first."""
+        """The page, with the advice on the design first."""
         return design_page(replace(self.results, advice=self.advice))
 
     @property
     def advice(self) -> Advice:
-        """What to do with the design."""
+        """The advice on the design."""
         return advise("report", self._document)
 
     @property
     def reason(self) -> str:
-        """What of the design is unstable, and what nearby is not, in one line; empty where everything is stable."""
+        """Which loops are unstable, and what is stable nearby, in one line; empty if all loops are stable."""
         others = (loop.reason for loop in (self.results.force, self.impedance) if loop is not None)
         return "; ".join(reason for reason in (self.results.verdict.reason, *others) if reason)
 
     @property
     def nearest(self) -> dict[str, Any]:
-        """The nearest that is stable, of each loop that is not, by the name of its section in :meth:`to_dict`."""
+        """The nearest stable numbers of each unstable loop, by the name of its section in :meth:`to_dict`."""
         verdict, force, impedance = self.results.verdict, self.results.force, self.impedance
-        found: dict[str, Any] = {}
+        nearest: dict[str, Any] = {}
         if verdict.reason:
-            found["velocity_loop"] = verdict.nearest
+            nearest["velocity_loop"] = verdict.nearest
         if force is not None and force.reason:
-            found["force_loop"] = force.nearest_stable
+            nearest["force_loop"] = force.nearest_stable
         if impedance is not None and impedance.reason:
-            found["impedance"] = impedance.nearest
-        return found
+            nearest["impedance"] = impedance.nearest
+        return nearest
 
     def to_dict(self) -> dict[str, Any]:
-        """Gains, force loop and identification as plain data; ``reason`` and ``nearest`` where a loop is unstable."""
+        """Return the results as plain data, with ``reason`` and ``nearest`` if a loop is unstable."""
         return {**self._document, "advice": self.advice.to_dict()}
 
     @cached_property
@@ -82,8 +82,8 @@ class Report:
         document: dict[str, Any] = {"velocity_loop": velocity, "worst_loop": self.results.verdict.worst.to_dict()}
         if self.results.force is not None:
             document["force_loop"] = self.results.force.to_dict()
-        if self.found:
-            document["identification"] = {one.model: one.to_dict() for one in self.found}
+        if self.identifications:
+            document["identification"] = {fit.model: fit.to_dict() for fit in self.identifications}
         if self.impedance is not None:
             document["impedance"] = self.impedance.to_dict()
         if self.loops:
@@ -119,21 +119,21 @@ def assemble_report(
     record_axis: Axis | None = None,
     progress: Progress | None = None,
 ) -> Report:
-    """Design ``axis`` (or what ``record`` says about it) and return the page with its results.
+    """Design the loops of ``axis``, or of the axis identified from ``record``, and return the page with the results.
 
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
-    ``design_on``: "record" takes the mechanics that the record gives (the default where no axis is named), "axis"
-    leaves them as they are; ``record_axis`` is what the record was made on, where that is another: it is identified
-    with that one's drive, and left out where its units are others. ``model`` of friction and filter ``chain`` are those
-    of ``identify``. ``crossover`` or ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the
-    specification when sampled; ``structure`` and ``filters`` are those of the axis's controller where they are None.
-    ``frf`` is the file of a measured response, shown beside the model as the first picture.
+    ``design_on``: "record" takes the mechanics identified from the record (the default if no axis is named), "axis"
+    those of the axis. ``record_axis`` is the axis of the record if that is another: the record is identified with its
+    drive, and left out if its units differ. ``model`` of friction and filter ``chain`` are those of ``identify``.
+    ``crossover`` or ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification in the
+    sampled loop; ``structure`` and ``filters`` default to those of the axis's controller. ``frf`` is the file of a
+    measured response, shown beside the model as the first picture.
 
-    The page has the sections that were asked for or that the axis has. Force loop: with ``k_e1`` [(m/s)/N], ``hand``
-    [N/(m/s)] or ``environment`` [N/m], or a k_e1 in the axis's controller; what is left out is 0.01 (m/s)/N and a wall
-    of 1e4 N/m for a mass of 100 kg, else in proportion, and the page says so. Impedance law: with ``mass`` [kg] and
-    ``damping`` [N/(m/s)], or an impedance controller of the axis; its ``filter`` [rad/s], tried under a relative
-    ``mismatch``.
+    The force loop has a section if ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)] or ``environment`` [N/m] is given, or the
+    axis's controller has a k_e1; missing ones are 0.01 (m/s)/N and a wall of 1e4 N/m for a mass of 100 kg, else in
+    proportion, and the page says so. The impedance law has one if ``mass`` [kg] and ``damping`` [N/(m/s)] are given,
+    or the axis has an impedance controller; ``filter`` [rad/s] is its low-pass, ``mismatch`` the relative error of its
+    estimates.
 
     >>> report = assemble_report("emps2018", crossover=100.0, phase_margin_deg=60.0)
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
@@ -149,13 +149,13 @@ def assemble_report(
     if (mass is None) != (damping is None):
         raise InputError("impedance law: found one of mass and damping, expected both [kg, N/(m/s)] or neither")
     design_on = design_on or ("record" if axis is None and record is not None else "axis")
-    given = axis if axis is not None else ("emps2018" if record is None else "emps2019")
-    loaded = given if isinstance(given, Axis) else load_axis(given)
-    inputs: dict[str, str | None] = {_input_name(given): _digest(given)}
+    named = axis if axis is not None else ("emps2018" if record is None else "emps2019")
+    loaded = named if isinstance(named, Axis) else load_axis(named)
+    inputs: dict[str, str | None] = {_input_name(named): _digest(named)}
 
     from emps_design.control.velocity.design import check_specification, design_velocity_loop
 
-    check_specification(crossover, bandwidth, phase_margin_deg)  # before the record: a wrong number is refused at once
+    check_specification(crossover, bandwidth, phase_margin_deg)  # before the record is read
     parts: list[Section] = []
     response = None
     if frf is not None:
@@ -164,16 +164,16 @@ def assemble_report(
         response = read_response(frf)
         inputs[Path(frf).name] = hashlib.sha256(Path(frf).read_bytes()).hexdigest()
     notes: list[str] = []
-    found: tuple[Identification, ...] = ()
+    identifications: tuple[Identification, ...] = ()
     if record is not None and record_axis is not None and record_axis.units != loaded.units:
         notes.append(f"The record was made on {record_axis.name}, an axis with other units: this page leaves it out.")
     elif record is not None:
         tell("reading the record", 0.05)
         other = record_axis if design_on == "axis" else None
-        made_on, found, section = _from_record(record, other or loaded, model, chain, design_on, inputs, tell)
+        made_on, identifications, section = _from_record(record, other or loaded, model, chain, design_on, inputs, tell)
         loaded = loaded if design_on == "axis" else made_on
         parts.append(section)
-        notes.append(_basis(loaded, found[0], design_on, made_on.name))
+        notes.append(_basis(loaded, identifications[0], design_on, made_on.name))
     tell("designing the loops", 0.4)
     around, taken = _force_loop(loaded, k_e1, hand, environment)
     notes += [f"Force loop: {taken}, not asked for."] if taken else []
@@ -227,23 +227,23 @@ def assemble_report(
         cautions=cautions,
     )
     tell("drawing", 0.6)
-    warnings = [warning for one in found for warning in one.warnings]
+    warnings = [warning for fit in identifications for warning in fit.warnings]
     warnings += [*results.verdict.warnings, *velocity.warnings]
     warnings += results.force.warnings if results.force else ()
     warnings += assessed.to_dict()["warnings"] if assessed else []
-    report = Report(results, assessed, tuple(found), tuple(dict.fromkeys(warnings)), loops)
+    report = Report(results, assessed, identifications, tuple(dict.fromkeys(warnings)), loops)
     _ = report.page
     tell("writing", 0.95)
     return report
 
 
 def has_impedance_law(axis: Axis) -> bool:
-    """Whether the controller of ``axis`` is one with an apparent mass."""
+    """Whether the controller of ``axis`` is an impedance law."""
     return axis.controller.kind != NONE and bool(get_law(axis.controller.kind).apparent)
 
 
 def usual_force_loop(axis: Axis) -> tuple[float, float]:
-    """A force gain [(m/s)/N] and a wall [N/m] to begin with, sized by the mass of ``axis`` in powers of ten.
+    """Return a first force gain [(m/s)/N] and wall [N/m], scaled with the mass of ``axis`` in powers of ten.
 
     >>> from emps_design.machines import machine
     >>> usual_force_loop(machine("emps2018"))
@@ -256,9 +256,9 @@ def usual_force_loop(axis: Axis) -> tuple[float, float]:
 def _force_loop(
     axis: Axis, k_e1: float | None, hand: float | None, environment: float | None
 ) -> tuple[tuple[float | None, float, float], str]:
-    """Force gain, hand and wall of the page: what was asked for, or the axis's own gain; None for no force loop.
+    """Return gain, hand and wall of the force loop, and in words which of them was a default; None for no force loop.
 
-    What was left out is the usual; the words say what was taken.
+    A missing gain is that of the axis, or else the usual one.
     """
     own = axis.controller.k_e1
     if k_e1 is None and hand is None and environment is None and own is None:
@@ -276,7 +276,7 @@ def _from_record(
     record: str | Path | Record, axis: Axis, model: str, chain: str | None, design_on: str,
     inputs: dict[str, str | None], tell: Progress,
 ) -> tuple[Axis, tuple[Identification, ...], Section]:  # fmt: skip
-    """Identify ``axis`` from ``record``: the axis to design on, what was found, and the section that tells it."""
+    """Identify ``axis`` from ``record``; return the axis to design on, the identifications, and their section."""
     from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.identification.identify import identify
     from emps_design.importing import import_record
@@ -287,19 +287,20 @@ def _from_record(
     inputs[read.name if isinstance(record, Record) else Path(record).name] = read.sha256
     tell("identifying", 0.15)
     others = [name for name in ("symmetric", "asymmetric") if name != model]
-    found = tuple(identify(read, axis, model=name, filter=chain or DEFAULT_CHAIN) for name in (model, *others))
-    section = record_section(read, found, axis)
-    return (found[0].to_axis() if design_on == "record" else axis), found, section
+    chain = chain or DEFAULT_CHAIN
+    identifications = tuple(identify(read, axis, model=name, filter=chain) for name in (model, *others))
+    section = record_section(read, identifications, axis)
+    return (identifications[0].to_axis() if design_on == "record" else axis), identifications, section
 
 
-def _basis(axis: Axis, found: Identification, design_on: str, made_on: str) -> str:
+def _basis(axis: Axis, identification: Identification, design_on: str, made_on: str) -> str:
     if design_on == "record":
         return (
-            f"The gains are for the mechanics identified from {found.record} ({found.model} model), with the drive and "
-            f"the sampling of the axis {axis.name}."
+            f"The gains are for the mechanics identified from {identification.record} ({identification.model} model), "
+            f"with the drive and the sampling of the axis {axis.name}."
         )
     shown = "compared with it below" if made_on == axis.name else f"identified below, with the drive of {made_on}"
-    return f"The gains are for the axis {axis.name} as it is written; {found.record} is {shown}."
+    return f"The gains are for the axis {axis.name} as it is written; {identification.record} is {shown}."
 
 
 def _input_name(axis: str | Axis) -> str:
@@ -309,7 +310,7 @@ def _input_name(axis: str | Axis) -> str:
 
 
 def _digest(axis: str | Axis) -> str | None:
-    """SHA-256 of an axis file, of an :class:`Axis` given as TOML, None for an embedded machine."""
+    """Return the SHA-256 of an axis file, or of the TOML of an :class:`Axis`; None for an embedded machine."""
     if isinstance(axis, Axis):
         return hashlib.sha256(axis.to_toml().encode()).hexdigest()
     return None if axis in machine_names() else hashlib.sha256(Path(axis).read_bytes()).hexdigest()

@@ -1,4 +1,4 @@
-"""The page of ``report``: the whole design of one axis, what was asked and what is achieved."""
+"""The page of ``report``: the whole design of one axis, its specification and what it achieves."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ ASSUMPTIONS = (
 
 @dataclass(frozen=True)
 class DesignResults:
-    """What the page shows; every number was computed by the library.
+    """The results that the page shows.
 
-    ``force``: the force loop around it, None where nobody asked for one; ``inputs``: SHA-256 of every input by name,
-    None for what is built in; ``parts``: more sections (a record, an impedance law), each already a :class:`Section`;
-    ``measured``: the section on a measured response, which comes first; ``notes``: statements for the summary;
-    ``stops``: what else is unstable; ``cautions``: what else to read with the numbers; ``advice``: what to do with it.
+    ``force``: the force loop around ``velocity``, or None; ``inputs``: SHA-256 of every input by name, None for
+    built-in ones; ``parts``: further sections, such as a record or an impedance law; ``measured``: the section on a
+    measured response, which comes first; ``notes``: statements for the summary; ``stops``: further instabilities;
+    ``cautions``: further warnings; ``advice``: the advice on the design.
     """
 
     velocity: VelocityLoopDesign
@@ -65,7 +65,7 @@ class DesignResults:
 
     @cached_property
     def verdict(self) -> DesignVerdict:
-        """The verdict on the velocity loop and what an axis file keeps around it."""
+        """The verdict on the velocity loop and on the loops that the axis file keeps around it."""
         from emps_design.control.verdict import DesignVerdict
 
         return DesignVerdict(self.velocity)
@@ -78,9 +78,10 @@ def design_results(
     environment: float = 0.0,
     **more: Any,
 ) -> DesignResults:
-    """Collect what the page of ``velocity`` needs; ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)], ``environment`` [N/m].
+    """Collect the results for the page of ``velocity``, with a force loop if there is a ``k_e1`` [(m/s)/N].
 
-    Without ``k_e1`` there is no force loop.
+    ``hand`` [N/(m/s)] and ``environment`` [N/m] are those of the force loop; ``more`` are other fields of
+    :class:`DesignResults`.
     """
     from emps_design.control.force import design_force_loop
 
@@ -94,10 +95,9 @@ def design_results(
 def design_page(results: DesignResults) -> Page:
     """Return the page of a design, its advice first."""
     velocity = results.velocity
-    asked = _asked(velocity)
     return Page(
         f"Control design of the axis {velocity.axis.name}",
-        asked,
+        _specification(velocity),
         _summary(results),
         (
             *([] if results.measured is None else [results.measured]),
@@ -112,7 +112,7 @@ def design_page(results: DesignResults) -> Page:
     )
 
 
-def _asked(velocity: VelocityLoopDesign) -> str:
+def _specification(velocity: VelocityLoopDesign) -> str:
     requested = dict(velocity.requested)
     phase = requested.pop("phase_margin_deg", None)
     parts = [f"{name} {frequency(value)}" for name, value in requested.items()]
@@ -127,7 +127,7 @@ def _asked(velocity: VelocityLoopDesign) -> str:
 
 
 def _stops(results: DesignResults) -> list[Callout]:
-    """Announcements of instability; they come before any margin."""
+    """Return the callouts on unstable loops, which come before any margin."""
     velocity, force = results.velocity, results.force
     stops = []
     if not velocity.sampled.stable:
@@ -176,14 +176,14 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     blocks.append(Facts(tuple(facts)))
     blocks += [Text(note) for note in results.notes]
     blocks.append(_achieved_table(velocity, results.verdict.at({})))
-    continuous, left = velocity.plant_input.phase_margin_deg, sampled.margins.phase_margin_deg
-    if continuous is not None and left is not None:  # nothing is left of a loop that is unstable
+    continuous, on_drive = velocity.plant_input.phase_margin_deg, sampled.margins.phase_margin_deg
+    if continuous is not None and on_drive is not None:  # an unstable loop has no margin
         parts = ["sampling", "hold", "current loop", "delay", "velocity estimator"]
         parts += ["filters of the command"] * bool(velocity.filters)
         parts += ["effects of the axis"] * bool(velocity.axis.effects)
         blocks.append(
             Text(
-                f"At the plant input, {', '.join(parts[:-1])} and {parts[-1]} take {continuous - left:.1f}° of the "
+                f"At the plant input, {', '.join(parts[:-1])} and {parts[-1]} take {continuous - on_drive:.1f}° of the "
                 f"{angle(continuous)} that the continuous loop has there."
             )
         )
@@ -195,8 +195,8 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
 
 
 def _achieved_table(velocity: VelocityLoopDesign, loops: Sequence[NestedLoop]) -> Table:
-    """Specification against achieved at every place where a loop can be broken, ``loops`` with everything first."""
-    sampled, asked = velocity.sampled, velocity.requested
+    """Return the table of specified and achieved margins at every place where a loop is broken, ``loops`` first."""
+    sampled, requested = velocity.sampled, velocity.requested
     met_by = "loop broken at the velocity error" + (", (6) and (7)" if velocity.structure.form == "ip" else "")
     if velocity.retuned_at:
         met_by = f"sampled loop broken at the {velocity.retuned_at.replace('-', ' ')}"
@@ -227,16 +227,16 @@ def _achieved_table(velocity: VelocityLoopDesign, loops: Sequence[NestedLoop]) -
         [
             [
                 Html("<b>asked for</b>"),
-                angle(asked.get("phase_margin_deg")),
-                frequency(asked.get("crossover")),
-                frequency(asked.get("bandwidth")),
+                angle(requested.get("phase_margin_deg")),
+                frequency(requested.get("crossover")),
+                frequency(requested.get("bandwidth")),
                 "—",
                 "—",
             ],
             *(
-                row(f"{one.name}, {one.broken}, sampled", one.margins, None)
-                for one in loops
-                if one.name != VELOCITY_LOOP
+                row(f"{loop.name}, {loop.broken}, sampled", loop.margins, None)
+                for loop in loops
+                if loop.name != VELOCITY_LOOP
             ),
             row("plant input, sampled", sampled.margins, sampled.bandwidth),
             row("velocity error, sampled", sampled.velocity_error, sampled.bandwidth),

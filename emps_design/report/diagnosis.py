@@ -1,8 +1,6 @@
 """The page of ``diagnose``: the answer in plain words, then where, before and after, what was tried, what to do.
 
-What a better model changes in the design: one specification on both models, and the old gains on the new one.
-
-The part of a diagnosis page that says what to record next: in words, drawn, and beside its alternatives.
+It includes the comparison of a velocity loop designed on both models, and the experiment to record next.
 """
 
 from __future__ import annotations
@@ -64,7 +62,7 @@ SIMULATED = {
 
 
 def axis_before(extended: Axis, parameters: Mapping[str, Any]) -> Axis:
-    """Return ``extended`` as it was without the effects found: its baseline refitted, from ``parameters``."""
+    """Return ``extended`` without the effects found, with the refitted baseline of ``parameters``."""
     entries = {name: parameters[name]["baseline"] for name in NUMBERS if parameters.get(name, {}).get("baseline")}
     baseline = {name: entry["value"] for name, entry in entries.items() if entry["value"] is not None}
     if "constant_force" in baseline:
@@ -73,7 +71,7 @@ def axis_before(extended: Axis, parameters: Mapping[str, Any]) -> Axis:
 
 
 def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
-    """Return rows {quantity, before, after, note} for the velocity loop on both axes; a reason where there is none.
+    """Return rows {quantity, before, after, note} for the velocity loop on both axes, or one row with the error.
 
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2019")
@@ -89,10 +87,10 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         expected, really, better = old.sampled.margins, kept.margins, new.sampled.margins
     except EmpsError as error:
         return [_row("velocity loop", None, None, str(error))]
-    asked = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
+    specification = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
     rows = [
-        _row("k_v1", quantity(old.k_v1, "V/(m/s)"), quantity(new.k_v1, "V/(m/s)"), asked),
-        _row("t_v", quantity(old.t_v, "s"), quantity(new.t_v, "s"), asked),
+        _row("k_v1", quantity(old.k_v1, "V/(m/s)"), quantity(new.k_v1, "V/(m/s)"), specification),
+        _row("t_v", quantity(old.t_v, "s"), quantity(new.t_v, "s"), specification),
     ]
     if not really.stable:
         now = "stable" if expected.stable else "unstable"
@@ -130,7 +128,7 @@ def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict
 
 
 def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section | None:
-    """The section that compares the design on both models."""
+    """Return the section that compares the design on both models, or None."""
     rows = document.get("design") or _design_rows(diagnosis, document)
     if not rows:
         return None
@@ -159,9 +157,9 @@ def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section
 
 
 def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any = None) -> Section | None:
-    """Return the section for ``chosen``, the document's ``experiment``, or None where nothing is to be recorded.
+    """Return the section on ``chosen``, the ``experiment`` of the document, or None without one.
 
-    ``experiment`` itself, where there is one, has the reference: ``t`` [s] and ``q_ref`` [m], (n,), the latter or None.
+    ``experiment`` has the reference to draw: ``t`` [s] (n,) and ``q_ref`` [m] (n,) or None.
     """
     if not chosen:
         return None
@@ -267,7 +265,7 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
 
 
 def typeset(text: str) -> str:
-    """ASCII of the command line as a page sets it.
+    """Return ASCII text of the command line with the signs of a page.
 
     >>> typeset("7.4 +- 0.6 N; 1.6 N -> 0.4 N")
     '7.4 ± 0.6 N; 1.6 N → 0.4 N'
@@ -286,17 +284,17 @@ def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) 
 
 def _trace_caption(name: str, simulated: str, extended: bool) -> str:
     models = "two models make" if extended else "the refitted model makes"
-    left = "the extended model leaves" if extended else "it leaves"
+    remainder = "the extended model leaves" if extended else "it leaves"
     return (
         f"Record {name}: measured force, and what {models} of it {SIMULATED[simulated]}. Look at the lower picture: "
-        f"what {left} should look like noise."
+        f"what {remainder} should look like noise."
     )
 
 
 def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str, Any], whole: bool) -> Facts:
-    """The force error before and after, and where the unknown is of one kind with a force of that kind as well.
+    """Return the force error before and after, and with the unknown force if that is of one kind.
 
-    ``whole``: a record of its own was held out, if any was, and no part.
+    ``whole``: what was held out, if anything, is a whole record.
     """
     held_out = gap.get("holdout")
     nothing_added = held_out and held_out["baseline"] == held_out["extended"]
@@ -310,8 +308,9 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str,
         errors = [("force error", before)]
     items = [(name, quantity(value, unit, 3), f"{word}, {simulated}") for name, value in errors]
     if unexplained.get("kind"):
-        left = quantity(unexplained["kind_leaves"], unit, 3)
-        items.append(("with the unknown force too", left, f"like {unexplained['kind']}; on any record at most"))
+        remaining_force = quantity(unexplained["kind_leaves"], unit, 3)
+        remark = f"like {unexplained['kind']}; on any record at most"
+        items.append(("with the unknown force too", remaining_force, remark))
     items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
     if before is not None and after is not None and floor is not None and before > max(floor, after):
         items.append(

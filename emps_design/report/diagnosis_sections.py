@@ -1,7 +1,4 @@
-"""The sections of the page of ``diagnose``, one function each; None where there is nothing to show.
-
-Pictures of a diagnosis: where the residual is, the force before and after, what was tried.
-"""
+"""The sections and pictures of the page of ``diagnose``, one function each; a section is None if it would be empty."""
 
 from __future__ import annotations
 
@@ -23,9 +20,9 @@ if TYPE_CHECKING:
 
     from emps_design.discrepancy.result import Diagnosis
 
-BESIDE = (60, 1)  # widths of a map and of the bar that reads it
+BESIDE = (60, 1)  # ratio of the widths of a map and its colour bar
 DECADE = 10.0
-EVERYWHERE = 0.5  # a mark over more than this share of a view points at nothing
+EVERYWHERE = 0.5  # a mark over more than this share of a view is not drawn
 _SCALE = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
 IN_LOOP = "after a refit in closed loop"
@@ -41,7 +38,7 @@ def where_figure(diagnosis: Any) -> Figure:
 
 
 def views_figure(views: Sequence[Any]) -> Figure:
-    """Draw every view, two beside each other."""
+    """Draw every view, two in a row."""
     rows = -(-len(views) // 2)
     with look():
         figure, grid = plain_subplots(rows, 2, height=2.5 * rows, squeeze=False)
@@ -92,7 +89,7 @@ def _draw_view(axes: Axes, view: Any) -> None:
         center = np.zeros_like(x)
         low = center if view.quantity in SPECTRAL else center - view.band
         axes.fill_between(x, low, center + view.band, color="#9CA3AF", alpha=0.4, linewidth=0, label="healthy record")
-    # Where nothing was added there is one model, and one line.
+    # If nothing was added there is one model, and one line.
     both = not np.array_equal(view.before, view.after, equal_nan=True)
     for y, color, label in ((view.before, RED, "before" if both else "model"), (view.after, BLUE, "after"))[: 1 + both]:
         xs, ys = thin(x, y)
@@ -104,7 +101,7 @@ def _draw_view(axes: Axes, view: Any) -> None:
     )
     if view.quantity in SPECTRAL and x.size and x[0] > 0:
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")  # 10 rather than 10 to a power, which has to be set as mathematics
+        axes.xaxis.set_major_formatter("{x:g}")  # 10 rather than a power, which needs mathematical type
         axes.xaxis.set_minor_formatter("{x:g}" if x[-1] < DECADE * x[0] else "")
     if view.title:
         axes.set_title(view.title)
@@ -112,7 +109,7 @@ def _draw_view(axes: Axes, view: Any) -> None:
 
 
 def before_after_figure(diagnosis: Any) -> Figure:
-    """Draw the confirming record: force measured and simulated, then what each model leaves."""
+    """Draw the confirming record: force measured and simulated, and the residual of each model."""
     trace = diagnosis.trace
     t = np.asarray(trace.t)
     used = np.asarray(trace.used)
@@ -143,7 +140,7 @@ def before_after_figure(diagnosis: Any) -> Figure:
 
 
 def _window(t: np.ndarray, error: np.ndarray) -> tuple[float, float]:
-    """The tenth of the record in which ``error`` is largest: where there is something to see."""
+    """Return start and end [s] of the tenth of the record with the largest mean square ``error``."""
     length = max(2, t.size // 10)
     energy = np.concatenate([[0.0], np.cumsum(np.square(error))])
     start = int(np.argmax(energy[length:] - energy[:-length]))
@@ -151,7 +148,7 @@ def _window(t: np.ndarray, error: np.ndarray) -> tuple[float, float]:
 
 
 def candidates_figure(candidates: Sequence[Mapping[str, Any]], gap: Mapping[str, Any]) -> Figure:
-    """Draw the force error that each of the best twelve candidates leaves, or its statistic where none was fitted."""
+    """Draw the force error of each of the best twelve candidates, or their statistics if none was fitted."""
     fitted = [c for c in candidates if c.get("gap") is not None]
     if not fitted:
         tried = [c for c in candidates if c.get("statistic") is not None][:12]
@@ -172,7 +169,7 @@ def _bars(
     limit: float | None,
     lines: Sequence[tuple[float | None, str, str, str]],
 ) -> Figure:
-    """Bars with their values, cut at ``limit``, and vertical lines (where, colour, style, label) to compare with."""
+    """Draw bars with their values, cut at ``limit``, and vertical lines (where, colour, style, label)."""
     bars = [min(value, limit) if limit else value for value in values]
     with look():
         figure, axes = plain_subplots(height=1.0 + 0.27 * max(len(shown), 2), above=18.0)
@@ -200,8 +197,8 @@ def _label(finding: Mapping[str, Any]) -> str:
 
 
 def in_plain_words(document: Mapping[str, Any]) -> str:
-    """The answer for a reader who does not know control loops: what was found, and how much it explains."""
-    findings, left = document["findings"], document.get("unexplained")
+    """Return the answer for a reader who is no control engineer: what was found, and how much it explains."""
+    findings, unexplained = document["findings"], document.get("unexplained")
     gap = document["gap"].get("holdout") or document["gap"]["train"]
     before, after, floor = gap.get("baseline"), gap.get("extended"), document["gap"].get("floor")
     if document["verdict"] in ("nothing-missing", "parameters-only"):
@@ -216,21 +213,18 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
     whom = "it" if len(names) == 1 else "them"
     closed = ""
     if None not in (before, after, floor) and before > max(floor, after):
-        share = closed_share(before, after, floor)  # by its numbers fitted anew too, not by a cause alone
+        share = closed_share(before, after, floor)  # the refitted baseline contributes as well
         closed = f" With {whom} the corrected model explains {share} of the difference."
     cause = "one cause has" if len(names) == 1 else f"{len(names)} causes have"
-    rest = " Something is left that nothing known explains; it needs another measurement." if left else ""
+    rest = " Something is left that nothing known explains; it needs another measurement." if unexplained else ""
     other = "A second record" if document.get("held_out", {}).get("time") is None else "A part of the record"
-    sure = f" {other} that played no part in finding {whom} agrees." if _agrees(findings) else ""
+    confirmed = all(finding.get("confirmed") for finding in findings)
+    sure = f" {other} that played no part in finding {whom} agrees." if confirmed else ""
     return f"The machine does not quite do what its model says, and {cause} been found: {listed}.{closed}{sure}{rest}"
 
 
-def _agrees(findings: Sequence[Mapping[str, Any]]) -> bool:
-    return all(finding.get("confirmed") for finding in findings)
-
-
 def how_sure(finding: Mapping[str, Any]) -> str:
-    """What the held-out data say of a finding."""
+    """Return in words how far the held-out data confirm a finding."""
     confirmed = finding.get("confirmed")
     if not confirmed:
         return "not seen on held-out data"
@@ -238,7 +232,7 @@ def how_sure(finding: Mapping[str, Any]) -> str:
 
 
 def closed_share(before: float, after: float, floor: float) -> str:
-    """How much of a gap is closed, in words; a model that leaves less than the noise closes all of it.
+    """Return the share of a gap that is closed, in words; an error below the noise floor closes all of it.
 
     >>> closed_share(2.0, 0.9, 1.0), closed_share(2.0, 1.5, 1.0)
     ('100 %', '58 %')
@@ -251,7 +245,7 @@ def _share(confirmed: Mapping[str, float] | None) -> str:
 
 
 def answer_points(document: Mapping[str, Any]) -> Points:
-    """What was found and how sure, what is left, and what to record next, one line each."""
+    """Return what was found and how surely, what is left, and what to record next, one line each."""
     lines = [
         f"Found: {inside(_label(f))}, up to {quantity(f['where']['force']['value'], 'N', 3)}; {how_sure(f)}."
         for f in document["findings"]
@@ -265,7 +259,7 @@ def answer_points(document: Mapping[str, Any]) -> Points:
 
 
 def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
-    """The effects found, with what each is good for, and their numbers."""
+    """Return the section on the effects found: their evidence and their parameters."""
     if not findings:
         return None
     alike = any(finding.get("equivalents") for finding in findings)
@@ -330,7 +324,7 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
 
 
 def unexplained_section(document: Mapping[str, Any]) -> Section | None:
-    """The force that no effect explains, over position and velocity."""
+    """Return the section on the force that no effect explains, over position and velocity."""
     missing = document.get("unexplained")
     if not missing:
         return None
@@ -346,7 +340,7 @@ def unexplained_section(document: Mapping[str, Any]) -> Section | None:
 
 
 def closest_section(document: Mapping[str, Any]) -> Section | None:
-    """What the model that follows most closely leaves, beside the one that is named."""
+    """Return the section that compares the force error of the closest model with that of the named one."""
     closest = document.get("closest")
     if not closest:
         return None
@@ -367,7 +361,7 @@ def closest_section(document: Mapping[str, Any]) -> Section | None:
 
 
 def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]]) -> Section | None:
-    """What was tried, and what each would have left."""
+    """Return the section on the candidates and the force error of each."""
     if not candidates:
         return None
     rows = [
@@ -416,7 +410,7 @@ def _candidates_caption(candidates: Sequence[Mapping[str, Any]], how: str) -> st
 
 
 def parameters_section(document: Mapping[str, Any]) -> Section | None:
-    """The baseline's numbers before and after."""
+    """Return the section on the parameters of the baseline before and after."""
     parameters = document.get("parameters") or {}
     if not parameters:
         return None
@@ -443,7 +437,7 @@ def parameters_section(document: Mapping[str, Any]) -> Section | None:
 
 
 def gap_section(document: Mapping[str, Any]) -> Section:
-    """The force error of both models on every record, with intervals."""
+    """Return the section on the force error of both models on every record, with intervals."""
     rows = []
     simulated = document.get("simulation", "closed loop")
 
@@ -453,7 +447,7 @@ def gap_section(document: Mapping[str, Any]) -> Section:
         return value if low is None else f"{value} ({low:.3g} to {high:.3g})"
 
     compared = [("gap", f"{simulated}, unfiltered"), ("gap_inverse_60hz", "inverse model, 60 Hz")]
-    if "band_hz" in document:  # one and the same
+    if "band_hz" in document:  # both are the same
         compared = [("gap", f"{simulated}, below {document['band_hz']:.2g} Hz")]
     for key, word in compared:
         gap = document.get(key)
@@ -473,7 +467,7 @@ def gap_section(document: Mapping[str, Any]) -> Section:
 
 
 def views_section(diagnosis: Diagnosis) -> Section | None:
-    """The residual over each quantity, and its spectrum over time."""
+    """Return the section on the residual over each quantity, and its spectrum over time."""
     if len(diagnosis.views) < 2:
         return None
     spectrum = diagnosis.to_dict().get("spectrum_over_time")
@@ -496,7 +490,7 @@ def views_section(diagnosis: Diagnosis) -> Section | None:
 
 
 def limits_section(document: Mapping[str, Any]) -> Section | None:
-    """What could be there unseen, and how large."""
+    """Return the section on effects that may be present unnoticed, and their largest size."""
     limits = document.get("not_excluded") or ()
     if not limits:
         return None
@@ -512,7 +506,7 @@ def limits_section(document: Mapping[str, Any]) -> Section | None:
 
 
 def remedy_section(document: Mapping[str, Any]) -> Section | None:
-    """What a control engineer does about it."""
+    """Return the section on the remedies and the file of the model."""
     remedies = [r for r in document.get("remedies", ()) if r]
     blocks: list[Any] = [Points(map(sentence_of, remedies))] if remedies else []
     if document.get("model_file"):
@@ -524,7 +518,7 @@ def remedy_section(document: Mapping[str, Any]) -> Section | None:
 
 
 def method_section(document: Mapping[str, Any]) -> Section:
-    """How it was found, what was assumed, and what it was read from."""
+    """Return the section on method, assumptions, warnings and inputs."""
     blocks: list[Any] = []
     if document.get("calibration"):
         blocks.append(Text(document["calibration"]))

@@ -1,4 +1,4 @@
-"""A measured frequency response: Bode picture with its 95 % band, and what the model says about it beside it."""
+"""A measured frequency response: Bode picture with its 95 % band and the model beside it, and the section on it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 COLOURS = (RED, GREEN)
 
 
-def response_figure(compared: ResponseComparison, ratio: np.ndarray | None = None) -> Figure:
-    """Draw magnitude and phase with the 95 % band, the models beside it, and below them deviation and coherence.
+def response_figure(comparison: ResponseComparison, ratio: np.ndarray | None = None) -> Figure:
+    """Draw magnitude and phase with the 95 % band and the models, and below them deviation and coherence.
 
-    ``ratio`` (n,) is the ratio of the spectra.
+    ``ratio`` (n,) complex is the ratio of the spectra, drawn for comparison.
     """
-    response, chain = compared.response, compared.chain
+    response, chain = comparison.response, comparison.chain
     models = {
-        f"model of {compared.axis.name}": compared.model,
+        f"model of {comparison.axis.name}": comparison.model,
         f"fitted, {chain.label}": chain.response(response.w),
     }
     f, std = response.frequency, response.std
@@ -49,12 +49,12 @@ def response_figure(compared: ResponseComparison, ratio: np.ndarray | None = Non
             top.semilogx(f, 20.0 * np.log10(np.abs(model)), "--", color=colour, linewidth=1.1, label=label)
             apart = np.degrees(np.angle(model / response.response))
             middle.semilogx(f, phase + apart, "--", color=colour, linewidth=1.1)
-        for one in resonances(response):
+        for resonance in resonances(response):
             for axes in (top, middle):
-                axes.axvline(one.frequency, color=GREY, linewidth=0.8, linestyle=":")
-            side = 1 if one.kind == "resonance" else -1
+                axes.axvline(resonance.frequency, color=GREY, linewidth=0.8, linestyle=":")
+            side = 1 if resonance.kind == "resonance" else -1
             top.annotate(
-                f"{one.frequency:.4g} Hz", (one.frequency, 0.02), xycoords=("data", "axes fraction"),
+                f"{resonance.frequency:.4g} Hz", (resonance.frequency, 0.02), xycoords=("data", "axes fraction"),
                 xytext=(3 * side, 0), textcoords="offset points", ha="left" if side > 0 else "right",
                 fontsize=8, color=GREY,
             )  # fmt: skip
@@ -70,24 +70,24 @@ def response_figure(compared: ResponseComparison, ratio: np.ndarray | None = Non
     return figure
 
 
-def response_blocks(compared: ResponseComparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
-    """Return the picture of a response with the model of its axis and the masses that fit it, and what they say."""
-    warnings = (*compared.response.warnings, *compared.chain.warnings)
+def response_blocks(comparison: ResponseComparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
+    """Return the picture of a response beside the model, the agreement in words, the fitted masses, and warnings."""
+    warnings = (*comparison.response.warnings, *comparison.chain.warnings)
     return (
         Picture(
-            response_figure(compared, ratio),
+            response_figure(comparison, ratio),
             "Force to velocity of the plant, hold and delay of the drive taken out, with the 95 % band of the data.",
             "Measured frequency response",
         ),
-        Text(f"{compared.axis.name}: {compared.agreement.sentence}."),
-        _chain_table(compared.chain),
+        Text(f"{comparison.axis.name}: {comparison.agreement.sentence}."),
+        _chain_table(comparison.chain),
         Callout("warning", "What the data do not say", items=warnings) if warnings else None,
     )
 
 
-def response_section(compared: ResponseComparison) -> Section:
+def response_section(comparison: ResponseComparison) -> Section:
     """Return the section on a measured response."""
-    return Section(f"Measured response {compared.response.name}", *response_blocks(compared))
+    return Section(f"Measured response {comparison.response.name}", *response_blocks(comparison))
 
 
 def _chain_table(chain: MassChain) -> Table:

@@ -1,7 +1,4 @@
-"""The section on the impedance law: what is felt, where it is stable, what a wrong model does, Fig. 12.
-
-Pictures of the impedance law: what the hand feels, where the law is stable, Fig. 12, and the mismatch study.
-"""
+"""The section and pictures of the impedance law: what the hand feels, stability, mismatch, and Fig. 12."""
 
 from __future__ import annotations
 
@@ -47,8 +44,8 @@ BAND = 20.0  # rad/s, the operator's range in section II-C of the paper
 def task_figure(runs: Mapping[str, TaskRun], task: Task) -> Figure:
     """Draw Fig. 12: force of the hand, velocity and position against time, one line for each of ``runs`` of ``task``.
 
-    Below is the velocity in the time that verdicts look at, on a scale of its own: a creep or a swing that is small
-    beside the motion before shows there.
+    The last plot is the velocity in the time that the verdicts judge, on its own scale: it shows a creep or a swing
+    that is small beside the motion before.
     """
     velocity, watched = "velocity [mm/s]", task.end * task.period
     rows = (("force $\\tau_e$ [N]", "tau_e", 1.0, 0.0), (velocity, "v", 1e3, 0.0), ("position [mm]", "q", 1e3, 0.0),
@@ -94,27 +91,27 @@ def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray
     return figure
 
 
-def stability_map_figure(found: StabilityMap, mass: float, filter: float) -> Figure:
+def stability_map_figure(regions: StabilityMap, mass: float, filter: float) -> Figure:
     """Draw where the law is stable over apparent mass and filter, one line for each mismatch, and the law chosen."""
     with look():
         figure, axes = subplots(height=3.7)
         shades = ("#FDE7D3", "#F9C9A3", "#F3A46F", "#E8834A")
         handles = []
         for e, radius, shade, color in zip(
-            found.mismatches, found.radius, shades, (GREEN, BLUE, PURPLE, RED), strict=False
+            regions.mismatches, regions.radius, shades, (GREEN, BLUE, PURPLE, RED), strict=False
         ):
             unstable = (radius > 1.0 + MARGINAL).astype(float)
-            axes.contourf(found.masses, found.filters, unstable, levels=[0.5, 1.5], colors=[shade], alpha=0.55)
+            axes.contourf(regions.masses, regions.filters, unstable, levels=[0.5, 1.5], colors=[shade], alpha=0.55)
             if 0.0 < unstable.mean() < 1.0:
-                axes.contour(found.masses, found.filters, unstable, levels=[0.5], colors=[color], linewidths=1.8)
+                axes.contour(regions.masses, regions.filters, unstable, levels=[0.5], colors=[color], linewidths=1.8)
             handles.append(_line(color, f"limit at ±{100 * e:g} %"))
         axes.plot([mass], [filter], "o", color=BLACK, markersize=8, zorder=5)
         handles.append(_line(BLACK, "this law", marker="o", linestyle="none"))
         axes.set(
             xscale="log",
             yscale="log",
-            xlim=(found.masses[0], found.masses[-1]),
-            ylim=(found.filters[0], found.filters[-1]),
+            xlim=(regions.masses[0], regions.masses[-1]),
+            ylim=(regions.filters[0], regions.filters[-1]),
             xlabel="apparent mass $M_a$ [kg]",
             ylabel="filter [rad/s]",
         )
@@ -134,14 +131,14 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
 
     mass, damping, _ = study.measures.fit
     with look():
-        figure, (left, right) = subplots(1, 2, height=3.6)
+        figure, (scatter_axes, bar_axes) = subplots(1, 2, height=3.6)
         corner = np.arange(len(mass)) < study.corners
         shown = np.isfinite(mass) & np.isfinite(damping)
         for place, name in enumerate(VERDICTS):
             for square in (False, True):
                 rows = (study.verdict == place) & (corner == square) & shown
                 if rows.any():
-                    left.scatter(
+                    scatter_axes.scatter(
                         mass[rows],
                         damping[rows],
                         s=46 if square else 14,
@@ -151,18 +148,18 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
                         linewidths=0.7,
                         label=name.replace("_", " ") + (", corner" if square else ""),
                     )
-        left.set(xlabel="apparent mass [kg]", ylabel="apparent damping [N/(m/s)]")
+        scatter_axes.set(xlabel="apparent mass [kg]", ylabel="apparent damping [N/(m/s)]")
         if shown.any():
             figure.legend(loc="outside upper left", ncols=3, markerscale=0.9)
         counts = [int(np.sum(study.verdict == place)) for place in range(len(VERDICTS))]
-        right.bar(
+        bar_axes.bar(
             [name.replace("_", "\n") for name in VERDICTS], counts, color=[VERDICT_COLORS[name] for name in VERDICTS]
         )
         for k, count in enumerate(counts):
-            right.annotate(str(count), (k, count), ha="center", va="bottom", fontsize=9)
-        right.set_ylabel("plants")
-        right.grid(axis="x", visible=False)
-        right.margins(y=0.12)
+            bar_axes.annotate(str(count), (k, count), ha="center", va="bottom", fontsize=9)
+        bar_axes.set_ylabel("plants")
+        bar_axes.grid(axis="x", visible=False)
+        bar_axes.margins(y=0.12)
     return figure
 
 
@@ -188,11 +185,11 @@ def wall_figure(contact: WallContact) -> Figure:
     return figure
 
 
-def contact_map_figure(found: ContactMap) -> Figure:
+def contact_map_figure(regions: ContactMap) -> Figure:
     """Draw where law and contact are stable together, over stiffness and damping of hand or wall."""
-    positive_k, positive_b = found.stiffness > 0.0, found.damping > 0.0
-    stiffness, damping = found.stiffness[positive_k], found.damping[positive_b]
-    unstable = (~found.stable[np.ix_(positive_b, positive_k)]).astype(float)
+    positive_k, positive_b = regions.stiffness > 0.0, regions.damping > 0.0
+    stiffness, damping = regions.stiffness[positive_k], regions.damping[positive_b]
+    unstable = (~regions.stable[np.ix_(positive_b, positive_k)]).astype(float)
     with look():
         figure, axes = subplots(height=3.2)
         axes.contourf(stiffness, damping, unstable, levels=[0.5, 1.5], colors=["#F9C9A3"], alpha=0.7)
@@ -205,17 +202,17 @@ def contact_map_figure(found: ContactMap) -> Figure:
     return figure
 
 
-def impedance_section(found: ImpedanceAssessment) -> Section:
-    """Return the section on ``found``."""
-    document = found.to_dict()
-    law = found.law
+def impedance_section(assessment: ImpedanceAssessment) -> Section:
+    """Return the section on the impedance law of ``assessment``."""
+    document = assessment.to_dict()
+    law = assessment.law
     blocks: list[Any] = [
         Text(
             f"Without a force sensor the law makes the carriage feel like {quantity(law.mass, 'kg')} and "
             f"{quantity(law.damping, 'N/(m/s)')}. Acceleration and current pass the "
             f"same low-pass of {frequency(law.filter) if np.isfinite(law.filter) else 'no limit'}."
         ),
-        _verdict(found),
+        _verdict(assessment),
         Picture(
             impedance_law_diagram(),
             "(a) The law sees motion and motor current, no force. (b) The impedance it aims at; in co-manipulation K "
@@ -223,32 +220,32 @@ def impedance_section(found: ImpedanceAssessment) -> Section:
             "Impedance control, after Fig. 11 of the paper",
         ),
         _felt_table(document),
-        _impedance_picture(found),
+        _impedance_picture(assessment),
         _sampled_table(document),
-        *_maps(found),
+        *_maps(assessment),
     ]
-    if found.study is not None:
-        blocks += _mismatch_blocks(found, found.study, document["mismatch"])
+    if assessment.study is not None:
+        blocks += _mismatch_blocks(assessment, assessment.study, document["mismatch"])
     blocks.append(_errata_table())
     if document["warnings"]:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(document["warnings"])))
     return Section("Impedance law", *blocks)
 
 
-def refusal(found: ImpedanceAssessment) -> str:
-    """Why the law is not to be run, as a statement on it; empty where no simulated plant swings."""
-    words = {"unstable": "is unstable", "limit_cycle": "ends in a limit cycle"}.get(found.verdict)
-    return f"the impedance law {words}: {found.reason.partition(': ')[2]}" if words else ""
+def refusal(assessment: ImpedanceAssessment) -> str:
+    """Return in words why the law must not run; empty unless the verdict is unstable or a limit cycle."""
+    words = {"unstable": "is unstable", "limit_cycle": "ends in a limit cycle"}.get(assessment.verdict)
+    return f"the impedance law {words}: {assessment.reason.partition(': ')[2]}" if words else ""
 
 
-def _verdict(found: ImpedanceAssessment) -> Callout:
+def _verdict(assessment: ImpedanceAssessment) -> Callout:
     from emps_design.comanipulation.study import CALM
 
-    if not found.stable:
-        title, _, body = refusal(found).partition(": ")
+    if not assessment.stable:
+        title, _, body = refusal(assessment).partition(": ")
         return Callout("stop", f"{title}.", body)
-    tried = "" if found.study is not None else " Errors of the estimates were not tried."
-    return Callout("good" if found.verdict in CALM else "warning", sentence_of(found.headline) + tried)
+    tried = "" if assessment.study is not None else " Errors of the estimates were not tried."
+    return Callout("good" if assessment.verdict in CALM else "warning", sentence_of(assessment.headline) + tried)
 
 
 def _felt_table(document: Mapping[str, Any]) -> Table:
@@ -269,26 +266,27 @@ def _felt_table(document: Mapping[str, Any]) -> Table:
     )
 
 
-def _impedance_picture(found: ImpedanceAssessment) -> Picture:
+def _impedance_picture(assessment: ImpedanceAssessment) -> Picture:
     from emps_design.control.impedance.law import LOW_FREQUENCY, equivalent_loop
     from emps_design.control.impedance.sampled import impedance_response, numbers
     from emps_design.errors import SpecificationError
 
-    law = found.law
-    below = OMEGA[np.pi / found.clock.period > OMEGA]
+    law = assessment.law
+    below = OMEGA[np.pi / assessment.clock.period > OMEGA]
 
-    def felt(one: Any) -> np.ndarray:
-        options = {"velocity_estimator": one.velocity_estimator, "force_sensor": one.force_sensor}
-        return impedance_response(numbers(one, found.plant), found.clock, below, **options)[0]
+    def felt(law: Any) -> np.ndarray:
+        options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
+        return impedance_response(numbers(law, assessment.plant), assessment.clock, below, **options)[0]
 
     curves = {"sampled law": felt(law)}
-    if found.mismatch:
-        e = found.mismatch
+    if assessment.mismatch:
+        e = assessment.mismatch
         for sign, word in ((1.0, "over"), (-1.0, "under")):
             off = law.with_errors({name: sign * e for name in ("mass", "viscous", "coulomb")})
             curves[f"estimates {100 * e:g} % {word}"] = felt(off)
-    with suppress(SpecificationError):  # where no such loop exists the section's warnings say so
-        loop = equivalent_loop(found.axis, law.mass, law.damping, LOW_FREQUENCY, mismatch=found.mismatch or 0.0)
+    with suppress(SpecificationError):  # if no such loop exists, a warning of the section says so
+        mismatch = assessment.mismatch or 0.0
+        loop = equivalent_loop(assessment.axis, law.mass, law.damping, LOW_FREQUENCY, mismatch=mismatch)
         curves["equivalent force loop"] = loop.impedance(below)
     target = 1j * below * law.mass + law.damping
     return Picture(
@@ -345,27 +343,27 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
     return Table(["quantity", "value", "meaning"], rows, "The law as implemented, on the sampled drive.")
 
 
-def _maps(found: ImpedanceAssessment) -> list[Picture]:
+def _maps(assessment: ImpedanceAssessment) -> list[Picture]:
     from emps_design.control.impedance.passivity import contact_map
     from emps_design.control.impedance.robustness import stability_map
 
-    mismatches = tuple(dict.fromkeys((0.0, found.mismatch or 0.02, 0.05)))
+    mismatches = tuple(dict.fromkeys((0.0, assessment.mismatch or 0.02, 0.05)))
     pictures = [
         Picture(
             stability_map_figure(
-                stability_map(found.law, found.plant, found.clock, mismatches=mismatches),
-                found.law.mass,
-                found.law.filter,
+                stability_map(assessment.law, assessment.plant, assessment.clock, mismatches=mismatches),
+                assessment.law.mass,
+                assessment.law.filter,
             ),
             "Shaded: unstable at some corner of the mismatch, sliding or sticking. The point must stay clear of the "
             "line of the mismatch that is to be expected.",
             "Where the law is stable",
         )
     ]
-    if found.stable:
+    if assessment.stable:
         pictures.append(
             Picture(
-                contact_map_figure(contact_map(found.law, found.plant, found.clock)),
+                contact_map_figure(contact_map(assessment.law, assessment.plant, assessment.clock)),
                 "Shaded: the law and this contact together are unstable. A hand is soft and damped (left), a wall is "
                 "stiff (right); damping in the contact helps.",
                 "In contact with a hand or a wall",
@@ -374,18 +372,18 @@ def _maps(found: ImpedanceAssessment) -> list[Picture]:
     return pictures
 
 
-def _mismatch_blocks(found: ImpedanceAssessment, study: MismatchStudy, mismatch: Mapping[str, Any]) -> list[Any]:
+def _mismatch_blocks(assessment: ImpedanceAssessment, study: MismatchStudy, mismatch: Mapping[str, Any]) -> list[Any]:
     from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.study import run_worst
 
     worst = mismatch["worst"]
     percent = f"±{100 * mismatch['mismatch']:g} %"
     task = study.task
-    law = found.law
+    law = assessment.law
     runs = {
-        "exact estimates": run_task(found.axis, law, task),
-        f"worst within {percent}": run_worst(found.axis, study),
-        "with a force sensor": run_task(found.axis, replace(law, force_sensor=True), task),
+        "exact estimates": run_task(assessment.axis, law, task),
+        f"worst within {percent}": run_worst(assessment.axis, study),
+        "with a force sensor": run_task(assessment.axis, replace(law, force_sensor=True), task),
     }
     share = f"{100 * mismatch['stable_share']:.4g} %"
     rows = [
@@ -396,7 +394,7 @@ def _mismatch_blocks(found: ImpedanceAssessment, study: MismatchStudy, mismatch:
             "neither unstable nor in a limit cycle",
             f"{100 * mismatch['bounded_share']:.4g} %{_interval(mismatch['bounded_share_interval'])}",
         ],
-        *([f"with {one['what']}", one["verdict"].replace("_", " ")] for one in mismatch["beyond"]),
+        *([f"with {case['what']}", case["verdict"].replace("_", " ")] for case in mismatch["beyond"]),
         ["creep after release, at most", quantity(mismatch["creep_speed"], "m/s")],
         ["dead band, at most", quantity(mismatch["dead_band"], "N")],
         ["Coulomb factor that rules creep out", number(mismatch["coulomb_factor_without_creep"])],
@@ -434,7 +432,7 @@ def _mismatch_blocks(found: ImpedanceAssessment, study: MismatchStudy, mismatch:
             "which must come to rest, and at the position, which must not run away.",
             "Force, velocity and position, after Fig. 12 of the paper",
         ),
-        _effort_table(found, runs),
+        _effort_table(assessment, runs),
     ]
 
 
@@ -447,17 +445,17 @@ def _errors(errors: Mapping[str, float]) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {100 * e:+.2g} %".replace("-", "−") for name, e in errors.items())
 
 
-def _effort_table(found: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
+def _effort_table(assessment: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
     from emps_design.control.impedance.robustness import break_away
 
     rows = []
-    for name, one in runs.items():
-        effort = {key: float(values[0]) for key, values in one.measures.effort.items()}
-        start = break_away(replace(found.law, force_sensor="sensor" in name), found.plant)
+    for name, run in runs.items():
+        effort = {key: float(values[0]) for key, values in run.measures.effort.items()}
+        start = break_away(replace(assessment.law, force_sensor="sensor" in name), assessment.plant)
         rows.append(
             [
                 name,
-                one.verdict.replace("_", " "),
+                run.verdict.replace("_", " "),
                 quantity(start, "N"),
                 *(
                     quantity(effort[key], unit)
@@ -479,8 +477,8 @@ def _errata_table() -> Table:
     return Table(
         ["place", "about", "what differs"],
         [
-            [html('<span translate="no">{}</span>', words) for words in (one.place, one.title, one.text)]
-            for one in find_errata()
+            [html('<span translate="no">{}</span>', words) for words in (erratum.place, erratum.title, erratum.text)]
+            for erratum in find_errata()
         ],
         "Where the paper differs from what follows by derivation; emps-design derive shows every step.",
     )

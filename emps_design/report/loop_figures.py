@@ -1,7 +1,4 @@
-"""Pictures of the velocity loop: Bode, Nyquist, poles and step response.
-
-The loops of a design as curves ready to draw: responses that the library gives, on one frequency grid.
-"""
+"""Pictures of the velocity loop: Bode, Nyquist, poles and step response, from its loops on one frequency grid."""
 
 from __future__ import annotations
 
@@ -50,7 +47,7 @@ class LoopCurve:
 
 @dataclass(frozen=True)
 class BrokenLoop:
-    """One place where the loop is broken, continuous and sampled."""
+    """The loop broken at one place, continuous and sampled."""
 
     title: str
     continuous: LoopCurve
@@ -58,12 +55,12 @@ class BrokenLoop:
 
     @property
     def curves(self) -> tuple[LoopCurve, LoopCurve]:
-        """Both readings, continuous first."""
+        """Both loops, continuous first."""
         return self.continuous, self.sampled
 
 
 def frequency_grid(design: VelocityLoopDesign, points: int = 400) -> np.ndarray:
-    """Frequencies [rad/s] from two decades below the crossover to ten times the Nyquist frequency or above it."""
+    """Return frequencies [rad/s] (points,) from 0.02 to 30 times the crossover, or to Nyquist if that is higher."""
     nyquist = np.pi / design.axis.sampling.period
     high = max(nyquist, 30.0 * design.crossover)
     return np.geomspace(0.02 * design.crossover, high, points)
@@ -80,7 +77,7 @@ def broken_loops(design: VelocityLoopDesign, points: int = 400) -> tuple[BrokenL
     """
     w = frequency_grid(design, points)
     nyquist = np.pi / design.axis.sampling.period
-    # At Nyquist itself the response is real and its phase jumps; the curve stops a hair below.
+    # At Nyquist itself the response is real and its phase jumps: the curve stops just below.
     below = np.append(w[w < 0.998 * nyquist], 0.998 * nyquist)
     error, plant = design.velocity_error_loop(), design.plant_input_loop()
 
@@ -235,7 +232,7 @@ def nyquist_figure(loops: tuple[BrokenLoop, ...]) -> Figure:
 def complex_plane(
     axes: Axes, real: tuple[float, float], imaginary: tuple[float, float], title: str, unit: str = ""
 ) -> None:
-    """Give ``axes`` the zero lines, limits and names of a plane in which a circle is a circle."""
+    """Give ``axes`` the zero lines, limits and labels of a complex plane with equal scales."""
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     axes.set(xlim=real, ylim=imaginary, xlabel=f"real part{unit}", ylabel=f"imaginary part{unit}", title=title)
@@ -269,22 +266,22 @@ def poles_figure(design: VelocityLoopDesign) -> Figure:
     """Draw the closed-loop poles: continuous in the s plane with (9), sampled in the z plane with the unit circle."""
     continuous = np.asarray(design.closed_loop().poles())
     with look():
-        figure, (left, right) = subplots(1, 2, height=3.9)
+        figure, (s_axes, z_axes) = subplots(1, 2, height=3.9)
         reach = 1.25 * float(np.max(np.abs(continuous)))
-        left.axvspan(0.0, 0.35 * reach, color=RED, alpha=0.08, linewidth=0)
+        s_axes.axvspan(0.0, 0.35 * reach, color=RED, alpha=0.08, linewidth=0)
         for z in (0.3, 0.5, 0.7, 0.9):
             x, y = -z * reach, np.sqrt(1.0 - z * z) * reach
-            left.plot([x, 0.0, x], [y, 0.0, -y], color="#D1D5DB", linewidth=0.8)
-            left.annotate(f"z = {z:g}", (x, y), fontsize=7.5, color=GREY, ha="right", va="bottom")
-        left.plot(continuous.real, continuous.imag, "x", color=BLUE, markersize=9, markeredgewidth=2)
+            s_axes.plot([x, 0.0, x], [y, 0.0, -y], color="#D1D5DB", linewidth=0.8)
+            s_axes.annotate(f"z = {z:g}", (x, y), fontsize=7.5, color=GREY, ha="right", va="bottom")
+        s_axes.plot(continuous.real, continuous.imag, "x", color=BLUE, markersize=9, markeredgewidth=2)
         title = "continuous closed loop (9)"
-        complex_plane(left, (-1.15 * reach, 0.35 * reach), (-1.1 * reach, 1.1 * reach), title, " [rad/s]")
-        z_plane(right, np.asarray(design.sampled.poles), "sampled closed loop, as implemented")
+        complex_plane(s_axes, (-1.15 * reach, 0.35 * reach), (-1.1 * reach, 1.1 * reach), title, " [rad/s]")
+        z_plane(z_axes, np.asarray(design.sampled.poles), "sampled closed loop, as implemented")
     return figure
 
 
 def step_figure(continuous: StepResponse, sampled: StepResponse | None) -> Figure:
-    """Draw the unit step of the velocity reference; ``sampled`` is None where that loop is unstable."""
+    """Draw the response to a unit step of the velocity reference; ``sampled`` is None if that loop is unstable."""
     with look():
         figure, axes = subplots(height=3.4)
         t_end = float(continuous.t[-1]) * 1e3

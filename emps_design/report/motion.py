@@ -1,7 +1,4 @@
-"""Picture of a motion in closed loop: reference and position, what is between them, and the command.
-
-Picture of what a feed-forward does to the tracking error.
-"""
+"""Pictures of a motion in closed loop with its tracking error and command, and of the effect of a feed-forward."""
 
 from __future__ import annotations
 
@@ -19,13 +16,13 @@ if TYPE_CHECKING:
 
 
 def motion_figure(runs: Mapping[str, Followed]) -> Figure:
-    """Draw one or two ``runs`` along the same reference, by the names of their controllers."""
+    """Draw position, tracking error and command of one or two ``runs`` along the same reference, by controller."""
     with look():
         figure, (top, middle, below) = subplots(3, 1, height=6.4, sharex=True)
         first = next(iter(runs.values())).run
         top.plot(*thin(first.t, 1e3 * first.q_ref), color=BLACK, linestyle="--", linewidth=1.0, label="reference")
-        for (name, found), color in zip(runs.items(), (RED, BLUE), strict=False):
-            run = found.run
+        for (name, followed), color in zip(runs.items(), (RED, BLUE), strict=False):
+            run = followed.run
             top.plot(*thin(run.t, 1e3 * run.position), color=color, linewidth=1.0, label=name)
             middle.plot(*thin(run.t, 1e3 * (run.q_ref - run.position)), color=color, linewidth=1.0)
             below.plot(*thin(run.t, run.u), color=color, linewidth=1.0)
@@ -37,16 +34,16 @@ def motion_figure(runs: Mapping[str, Followed]) -> Figure:
     return figure
 
 
-def tracking_figure(found: Compensation) -> Figure:
+def tracking_figure(compensation: Compensation) -> Figure:
     """Draw the reference and the tracking error, without feed-forward and with what is kept."""
-    t, errors = found.errors()
+    t, errors = compensation.errors()
     with look():
         figure, (top, below) = subplots(2, 1, height=4.4, sharex=True)
-        top.plot(*thin(t, found.q_ref), color=BLUE)
+        top.plot(*thin(t, compensation.q_ref), color=BLUE)
         top.set_ylabel("position reference [m]")
         for (name, error), color in zip(errors.items(), (RED, BLUE), strict=True):
             below.plot(*thin(t, error), color=color, linewidth=1.0, label=f"{name} feed-forward")
-        below.set(xlabel="time [s]", ylabel=f"tracking error [{found.unit}]")
+        below.set(xlabel="time [s]", ylabel=f"tracking error [{compensation.unit}]")
         below.legend(loc="upper right", ncols=2)
         figure.align_ylabels((top, below))
     return figure

@@ -1,8 +1,7 @@
-"""A page: a title, a summary first, sections of text, tables and pictures; one HTML file that needs nothing else.
+"""A page: a title, a summary, and sections of text, tables and pictures; one HTML file that needs nothing else.
 
-What makes a page repeatable: the versions that made it and the SHA-256 of every input. No clock.
-
-The box with the advice on a result: the first on its page.
+A page is reproducible: it names the versions that made it and the SHA-256 of every input, and no time. The advice on
+the result is its first box.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ LEVELS = {SAFE: ("good", "Safe."), CAUTION: ("warning", "Caution."), DO_NOT_RUN:
 
 
 class Html(str):
-    """Text that is HTML already, such as a symbol with its subscript; any other text is escaped."""
+    """Text that is HTML already, such as a symbol with its subscript, and is not escaped."""
 
     __slots__ = ()
 
@@ -59,7 +58,7 @@ def inline(value: Any) -> str:
 
 
 def html(template: str, *values: Any) -> Html:
-    """Return ``template``, which is HTML, with ``values`` in the places of its braces, each as :func:`inline` sets it.
+    """Return ``template``, which is HTML, with its braces replaced by ``values``, each formatted by :func:`inline`.
 
     >>> html("<b>{}</b>", "a < b")
     '<b>a &lt; b</b>'
@@ -91,7 +90,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Facts:
-    """The few numbers a reader came for, drawn large: (label, value, remark) each."""
+    """The main numbers of the page in large type: (label, value, remark) each."""
 
     items: tuple[tuple[str, str, str], ...]
     kind: str = field(default="facts", init=False)
@@ -142,7 +141,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Listing:
-    """Lines of a program or an equation, set as they are."""
+    """Lines of a program or an equation, shown unchanged."""
 
     text: str
     caption: str = ""
@@ -187,18 +186,21 @@ class Page:
     units: Units = field(default_factory=Units)
 
     def html(self) -> str:
-        """Return the document as HTML text, in the units and words of the axis it is about."""
+        """Return the document as HTML text, in the units of its axis."""
         return self.units.text(_environment().get_template("page.html.j2").render(page=self, counter=_Counter()))
 
     def pictures(self) -> tuple[Picture, ...]:
-        """Every picture of the page, in order, in the units and words of the axis that the page is about."""
+        """Return every picture of the page in order, in the units of its axis."""
         blocks = [*self.summary, *(block for section in self.sections for block in section.blocks)]
         pictures = [block for block in blocks if isinstance(block, Picture)]
         for picture in pictures:
             labelled(picture.figure, self.units)
-        return tuple(replace(one, caption=self._said(one.caption), title=self._said(one.title)) for one in pictures)
+        return tuple(
+            replace(picture, caption=self._in_units(picture.caption), title=self._in_units(picture.title))
+            for picture in pictures
+        )
 
-    def _said(self, text: str) -> str:
+    def _in_units(self, text: str) -> str:
         return type(text)(self.units.text(text))
 
     def _repr_html_(self) -> str:
@@ -237,7 +239,7 @@ def _environment() -> Environment:
 
     environment = Environment(
         loader=PackageLoader("emps_design.report"),
-        autoescape=False,  # every value passes the filter ``inline``, which escapes what is not Html
+        autoescape=False,  # every value passes the filter ``inline``, which escapes all but Html
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -261,7 +263,7 @@ def inputs_table(inputs: Mapping[str, str | None]) -> Table:
 
 
 def advice_callout(advice: Advice) -> Callout:
-    """The box that says what to do with a result."""
+    """Return the box with the advice on a result."""
     level, title = LEVELS[advice.level]
     further = (html("Next: <code>{}</code>", advice.next),) if advice.next else ()
     return Callout(level, title, sentence_of(advice.text), further)

@@ -1,12 +1,6 @@
-"""The sections about a record: what it holds, the parameters it gives, and the force they explain.
+"""Sections, blocks and pictures about a record: its signals, identified parameters, observed force, and control law.
 
-Pictures of a record: what was measured, and the force that the identified model explains.
-
-The page of an import: which column was taken for what, and what the record looks like.
-
-The external force that was observed, method by method, as pictures and a table.
-
-The blocks about a controller that was told from a record: its table, its numbers, what it leaves.
+The page of an import shows which column was read as what.
 """
 
 from __future__ import annotations
@@ -36,7 +30,7 @@ _COLORS = {"offline": BLUE, "online": RED, "kalman": GREEN}
 
 
 def record_figure(record: Record, units: Units | None = None) -> Figure:
-    """Draw position and command of ``record``, and the external force where one was measured, in the axis's units."""
+    """Draw position and command of ``record``, and the external force if measured, in the units of the axis."""
     units = units or Units()
     unit, factor = units.display(0.5, "m")
     rows = [(f"{units.words('position')} [{unit}]", factor * record.q, BLUE)]
@@ -54,13 +48,13 @@ def record_figure(record: Record, units: Units | None = None) -> Figure:
     return figure
 
 
-def force_figure(found: Identification) -> Figure:
+def force_figure(identification: Identification) -> Figure:
     """Draw measured and identified force over the record, one part of it enlarged, and the residual.
 
-    Samples that the identification left out are gaps.
+    Samples that the identification did not use are gaps.
     """
-    t, measured, model = (np.asarray(found.series[key]) for key in ("t", "measured", "model"))
-    used = np.asarray(found.series["used"], dtype=bool)
+    t, measured, model = (np.asarray(identification.series[key]) for key in ("t", "measured", "model"))
+    used = np.asarray(identification.series["used"], dtype=bool)
     error = np.where(used, measured - model, np.nan)
     low, high = _window(t, measured)
     inside = (t >= low) & (t <= high)
@@ -89,17 +83,17 @@ def force_figure(found: Identification) -> Figure:
 
 
 def _window(t: np.ndarray, force: np.ndarray) -> tuple[float, float]:
-    """An eighth of the record around its largest force, where something happens."""
+    """Return start and end [s] of an eighth of the record around its largest force."""
     length = (t[-1] - t[0]) / 8.0
     centre = float(t[int(np.argmax(np.abs(force)))])
     low = min(max(float(t[0]), centre - 0.5 * length), float(t[-1]) - length)
     return low, low + length
 
 
-def record_section(record: Record, found: Sequence[Identification], axis: Axis) -> Section:
-    """Return the section on ``record`` with every identification ``found`` on it; ``axis`` is what the file says."""
-    first = found[0]
-    warnings = tuple(dict.fromkeys(warning for one in found for warning in one.warnings))
+def record_section(record: Record, identifications: Sequence[Identification], axis: Axis) -> Section:
+    """Return the section on ``record`` with all ``identifications`` on it, compared with ``axis``."""
+    first = identifications[0]
+    warnings = tuple(dict.fromkeys(warning for each in identifications for warning in each.warnings))
     return Section(
         f"Record {record.name}",
         Text(
@@ -111,34 +105,39 @@ def record_section(record: Record, found: Sequence[Identification], axis: Axis) 
             "Position on the load side and the voltage that the drive was given.",
             "Record",
         ),
-        *(_parameters_table(one, axis) for one in found),
-        _quality_table(found),
+        *(_parameters_table(identification, axis) for identification in identifications),
+        _quality_table(identifications),
         _force_picture(first),
         _warnings(warnings),
     )
 
 
-def identification_blocks(found: Identification, axis: Axis) -> tuple[Any, ...]:
-    """Return tables, picture and warnings of one identification; ``axis`` is what it is compared with."""
-    return (_parameters_table(found, axis), _quality_table((found,)), _force_picture(found), _warnings(found.warnings))
+def identification_blocks(identification: Identification, axis: Axis) -> tuple[Any, ...]:
+    """Return tables, picture and warnings of one identification, compared with ``axis``."""
+    return (
+        _parameters_table(identification, axis),
+        _quality_table((identification,)),
+        _force_picture(identification),
+        _warnings(identification.warnings),
+    )
 
 
 def _warnings(warnings: Sequence[str]) -> Callout | None:
     return Callout("warning", "What the record says about itself", items=tuple(warnings)) if warnings else None
 
 
-def _force_picture(found: Identification) -> Picture:
-    known = ", both less what the effects of the axis file take" if found.axis.effects else ""
+def _force_picture(identification: Identification) -> Picture:
+    known = ", both less what the effects of the axis file take" if identification.axis.effects else ""
     return Picture(
-        force_figure(found),
-        f"Force of the motor, measured and by the {found.model} model with the identified parameters{known}. "
+        force_figure(identification),
+        f"Force of the motor, measured and by the {identification.model} model with the identified parameters{known}. "
         "The middle picture enlarges the yellow part. What is left in the lowest picture and repeats from stroke to "
         "stroke is physics that the model lacks; emps-design diagnose names it.",
         "Measured against identified force",
     )
 
 
-def _parameters_table(found: Identification, axis: Axis) -> Table:
+def _parameters_table(identification: Identification, axis: Axis) -> Table:
     mechanics = axis.mechanics
     known = {
         "mass": mechanics.mass,
@@ -147,7 +146,7 @@ def _parameters_table(found: Identification, axis: Axis) -> Table:
         "constant_force": mechanics.offset,
     }
     rows: list[list[Any]] = []
-    for name, estimate in found.parameters.items():
+    for name, estimate in identification.parameters.items():
         unit = estimate.quantity.unit
         if estimate.interval_95 is None:
             rows.append([words(name), unit, "not determined", NOTHING, NOTHING, NOTHING, known.get(name)])
@@ -164,41 +163,41 @@ def _parameters_table(found: Identification, axis: Axis) -> Table:
                 number(known[name], 6) if name in known else NOTHING,
             ]
         )
+    proposed = f"; proposed by the record: {', '.join(identification.proposed)}" if identification.proposed else ""
     return Table(
         ["parameter", "unit", "value", "std, (15)", "relative std, (16)", "95 % interval", f"axis {axis.name}"],
         rows,
-        f"Identified parameters, {found.model} model{_asked_for(found)}. Std by (15) counts every sample as "
-        "independent; the interval allows for the correlation of the residual and is the one to believe.",
+        f"Identified parameters, {identification.model} model{proposed}. Std by (15) counts "
+        "every sample as independent; the interval allows for the correlation of the residual and is the one to "
+        "believe.",
     )
 
 
-def _asked_for(found: Identification) -> str:
-    """What beside the model the record asked for by itself."""
-    return f"; proposed by the record: {', '.join(found.proposed)}" if found.proposed else ""
+def _quality_table(identifications: Sequence[Identification]) -> Table:
+    def share(percent: float) -> str:
+        return f"{percent:.2f} %" if math.isfinite(percent) else NOTHING
 
-
-def _quality_table(found: Sequence[Identification]) -> Table:
     return Table(
         ["model", "force error [N rms]", "of the force", "condition number", "rows", "independent rows"],
         [
             [
-                one.model,
-                number(one.rms_error),
-                f"{one.relative_error_percent:.2f} %" if math.isfinite(one.relative_error_percent) else NOTHING,
-                number(one.condition_number, 3),
-                one.samples,
-                str(round(one.residual.effective_samples)),
+                identification.model,
+                number(identification.rms_error),
+                share(identification.relative_error_percent),
+                number(identification.condition_number, 3),
+                identification.samples,
+                str(round(identification.residual.effective_samples)),
             ]
-            for one in found
+            for identification in identifications
         ],
         "How well each model explains the force.",
     )
 
 
 def import_page(account: Account) -> Page:
-    """Return the page on an import: what was taken for what, and a picture of the record."""
-    record, units, said = account.record, account.axis.units, account.notes
-    notes = Callout("warning", "What was done and noticed", items=said)
+    """Return the page on an import: the columns as they were read, and a picture of the record."""
+    record, units, warnings = account.record, account.axis.units, account.notes
+    notes = Callout("warning", "What was done and noticed", items=warnings)
     section = Section(
         f"Record {record.name}",
         Text(
@@ -207,23 +206,22 @@ def import_page(account: Account) -> Page:
         ),
         Table(HEADINGS, account.rows),
         Picture(record_figure(record, units), "The record as it was read.", "Record"),
-        notes if said else None,
+        notes if warnings else None,
     )
     return Page(f"Import of {record.name}", "", (), (section,), units=units)
 
 
-def observation_figure(found: Observation) -> Figure:
-    """Draw the external force by every method, and the measured one where the record has it."""
+def observation_figure(observation: Observation) -> Figure:
+    """Draw the external force by every method, and the measured one if the record has it."""
     with look():
         figure, grid = subplots(
-            len(found.methods), 1, height=1.7 * len(found.methods) + 0.4, sharex=True, squeeze=False
+            len(observation.methods), 1, height=1.7 * len(observation.methods) + 0.4, sharex=True, squeeze=False
         )
-        for axes, (name, method) in zip(grid.flat, found.methods.items(), strict=True):
-            axes.plot(
-                *thin(found.t, method.force), color=_COLORS.get(name, BLUE), linewidth=1.0, label=f"observed, {name}"
-            )
-            if found.f_ext is not None:
-                axes.plot(*thin(found.t, found.f_ext), color=BLACK, linewidth=1.2, label="measured")
+        for axes, (name, method) in zip(grid.flat, observation.methods.items(), strict=True):
+            color, label = _COLORS.get(name, BLUE), f"observed, {name}"
+            axes.plot(*thin(observation.t, method.force), color=color, linewidth=1.0, label=label)
+            if observation.f_ext is not None:
+                axes.plot(*thin(observation.t, observation.f_ext), color=BLACK, linewidth=1.2, label="measured")
             least = method.smallest.value
             axes.axhspan(-least, least, color="#E5E7EB", linewidth=0, label="cannot be told from errors")
             axes.set_ylabel("force [N]")
@@ -234,7 +232,7 @@ def observation_figure(found: Observation) -> Figure:
     return figure
 
 
-def observation_blocks(found: Observation) -> tuple[Any, ...]:
+def observation_blocks(observation: Observation) -> tuple[Any, ...]:
     """Return picture, table and warnings of an observation."""
     rows = [
         [
@@ -244,11 +242,11 @@ def observation_blocks(found: Observation) -> tuple[Any, ...]:
             quantity(method.smallest.value, "N"),
             method.smallest.bound.replace("_", " "),
         ]
-        for name, method in found.methods.items()
+        for name, method in observation.methods.items()
     ]
     return (
         Picture(
-            observation_figure(found),
+            observation_figure(observation),
             "Force on the carriage from motor force and motion, (19). Inside the grey band a force cannot be told from "
             "the errors of model and noise.",
             "Observed external force",
@@ -256,30 +254,30 @@ def observation_blocks(found: Observation) -> tuple[Any, ...]:
         Table(
             ["method", "rms error", "delay", "smallest observable force", "what bounds it"],
             rows,
-            f"Observers on {found.record} with the axis {found.axis}.",
+            f"Observers on {observation.record} with the axis {observation.axis}.",
         ),
-        Callout("warning", "To read with the numbers", items=found.warnings) if found.warnings else None,
+        Callout("warning", "To read with the numbers", items=observation.warnings) if observation.warnings else None,
     )
 
 
-def law_blocks(found: LawEstimate) -> tuple[Any, ...]:
-    """Return the blocks of a page about ``found``: verdict, table, deviations, residual, notes."""
-    if found.controller is None:
-        near = f"The closest law, which is not the machine's: {found.closest_in_words}." if found.closest else ""
-        said = (near, *found.notes) if near else found.notes
-        return (Callout("warning", f"{found.verdict}: {found.reason}."), *map(Text, said))
-    rows = [
-        [name, value, std, f"{abs(100.0 * std / value):.2g} %" if value else ""] for name, value, std in found.numbers
-    ]
-    left = []
-    if found.residual_rms is not None and found.residual_share is not None:
-        share = f"{100.0 * found.residual_share:.3g} % of the command's deviation"
-        left.append(Text(f"The law leaves {found.residual_rms:.4g} {found.command_unit} rms of the command, {share}."))
-    words = f"{found.verdict}{f', {found.reason}' if found.reason else ''}."
+def law_blocks(estimate: LawEstimate) -> tuple[Any, ...]:
+    """Return the blocks of a page about a control law: verdict, table, deviations, residual, notes."""
+    if estimate.controller is None:
+        near = f"The closest law, which is not the machine's: {estimate.closest_in_words}." if estimate.closest else ""
+        texts = (near, *estimate.notes) if near else estimate.notes
+        return (Callout("warning", f"{estimate.verdict}: {estimate.reason}."), *map(Text, texts))
+    numbers = estimate.numbers
+    rows = [[name, value, std, f"{abs(100.0 * std / value):.2g} %" if value else ""] for name, value, std in numbers]
+    residual = []
+    if estimate.residual_rms is not None and estimate.residual_share is not None:
+        rms = f"{estimate.residual_rms:.4g} {estimate.command_unit} rms"
+        share = f"{100.0 * estimate.residual_share:.3g} % of the command's deviation"
+        residual.append(Text(f"The law leaves {rms} of the command, {share}."))
+    words = f"{estimate.verdict}{f', {estimate.reason}' if estimate.reason else ''}."
     return (
-        Callout("good" if found.verdict == "told" else "warning", words),
-        Listing(found.to_toml()),
+        Callout("good" if estimate.verdict == "told" else "warning", words),
+        Listing(estimate.to_toml()),
         Table(["number", "value", "standard deviation", ""], rows, "Numbers of the controller, as in the axis file."),
-        *left,
-        *map(Text, found.notes),
+        *residual,
+        *map(Text, estimate.notes),
     )

@@ -1,6 +1,6 @@
-"""One look for every picture: colours that colour-blind readers tell apart, page sizes, and SVG with fixed bytes.
+"""The style of every picture: colours that colour-blind readers can distinguish, sizes, layout, reproducible files.
 
-Places of axes that follow from the size of their type, not from boxes around all that would be drawn.
+The layout of plain figures follows from the size of their type, which is faster than from the extents of all artists.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 # Points, 72 an inch.
-LINE = 1.2  # height of a line of text over the size of its type
-GAP = 4.0  # between a label and what it stands beside, and at the edge
+LINE = 1.2  # height of a line of text, relative to the size of its type
+GAP = 4.0  # between a label and its neighbour, and at the edge
 TICK = 7.0  # from the line of an axis to its numbers
-END = 12.0  # for the half of a number that stands under the end of a horizontal axis
+END = 12.0  # room for half a number beyond the end of a horizontal axis
 
 # Okabe and Ito's palette: distinct under the common forms of colour blindness and in grey print.
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -42,7 +42,7 @@ GREY = "#6B7280"
 WIDTH = 8.8  # inches, the text column of a page
 POINTS = 72  # an inch: the unit of an SVG
 
-# What a picture would otherwise say of when it was drawn, and by what, by format.
+# Metadata on date and program, left out of the pictures, by format.
 UNDATED: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None},
     "png": {"Software": None},
@@ -83,7 +83,7 @@ _SETTINGS = threading.RLock()  # matplotlib's settings belong to the process; th
 
 
 class FigureMargins(LayoutEngine):
-    """Lay out one grid of axes with labels and titles, and nothing else outside of them.
+    """Layout engine for one grid of axes with labels and titles, and nothing else outside of them.
 
     ``above`` [points] is kept free over the first row.
     """
@@ -96,27 +96,28 @@ class FigureMargins(LayoutEngine):
         self.above = above
 
     def execute(self, fig: Figure) -> None:
-        """Set the places of the axes of ``fig`` and of their labels; heights first: a taller axis has other numbers."""
+        """Place the axes of ``fig`` and their labels; heights first, because the numbers of an axis depend on them."""
         cells = [(axes, spec) for axes in fig.axes if (spec := axes.get_subplotspec()) is not None]
         rows, columns = cells[0][1].get_gridspec().get_geometry()
         width, height = 72.0 * fig.get_size_inches()
-        top, bottom, left, right = np.zeros(rows), np.zeros(rows), np.zeros(columns), np.full(columns, END)
+        top, bottom = np.zeros(rows), np.zeros(rows)
+        at_left, at_right = np.zeros(columns), np.full(columns, END)
         for axes, cell in cells:
             _widen(top, cell.rowspan.start, _above(axes))
             _widen(bottom, cell.rowspan.start, _height(axes.xaxis) + _label(axes.xaxis))
         top[0] += self.above
         low, high, between = _edges(bottom[::-1], top[::-1], height)
         fig.subplots_adjust(bottom=low, top=high, hspace=between)
-        sides = [(right if _on_right(axes) else left, cell.colspan.start) for axes, cell in cells]
+        sides = [(at_right if _on_right(axes) else at_left, cell.colspan.start) for axes, cell in cells]
         for (axes, _), (side, column) in zip(cells, sides, strict=True):
             _widen(side, column, _width(axes.yaxis) + _label(axes.yaxis))
-        low, high, between = _edges(left, right, width)
+        low, high, between = _edges(at_left, at_right, width)
         fig.subplots_adjust(left=low, right=high, wspace=between)
         for (axes, _), (side, column) in zip(cells, sides, strict=True):
             across, up = width * axes.get_position().width, height * axes.get_position().height
             axes.xaxis.set_label_coords(0.5, -(_height(axes.xaxis) + GAP) / up)
             beside = (side[column] - _label(axes.yaxis) + GAP) / across
-            axes.yaxis.set_label_coords(1.0 + beside if side is right else -beside, 0.5)
+            axes.yaxis.set_label_coords(1.0 + beside if side is at_right else -beside, 0.5)
 
 
 def _widen(margins: np.ndarray, place: int, points: float) -> None:
@@ -124,7 +125,7 @@ def _widen(margins: np.ndarray, place: int, points: float) -> None:
 
 
 def _edges(before: np.ndarray, after: np.ndarray, length: float) -> tuple[float, float, float]:
-    """Both edges of a line of plots as shares of ``length`` [points], and the space between two as a share of one."""
+    """Return both edges of a row of plots relative to ``length`` [points], and the space between relative to a plot."""
     low, high = GAP + before[0], length - GAP - after[-1]
     between = GAP + float(np.max(after[:-1] + before[1:], initial=0.0))
     each = (high - low - (before.size - 1) * between) / before.size
@@ -132,7 +133,7 @@ def _edges(before: np.ndarray, after: np.ndarray, length: float) -> tuple[float,
 
 
 def _above(axes: Axes) -> float:
-    """Points taken over ``axes`` by its title and by the power of ten of its numbers."""
+    """Return the height [points] above ``axes`` of its title and of the power of ten of its numbers."""
     titled = axes.get_title("left") or axes.get_title()
     return GAP + (_line(axes.title) if titled else 0.0) + (_line(axes.yaxis.get_offset_text()) if _power(axes) else 0.0)
 
@@ -152,7 +153,7 @@ def _line(text: Text) -> float:
 
 
 def _label(axis: Axis) -> float:
-    """Points taken by the label of ``axis``, beyond its numbers."""
+    """Return the height [points] of the label of ``axis``, beyond its numbers."""
     return GAP + _line(axis.label) if axis.get_label_text() else 0.0
 
 
@@ -162,12 +163,12 @@ def _numbered(axis: Axis) -> bool:
 
 
 def _height(axis: Axis) -> float:
-    """Points from the line of a horizontal ``axis`` to the far side of its numbers."""
+    """Return the distance [points] from the line of a horizontal ``axis`` to the far side of its numbers."""
     return TICK + _line(axis.get_offset_text()) if _numbered(axis) else 0.0
 
 
 def _width(axis: Axis) -> float:
-    """Points from the line of a vertical ``axis`` to the far side of the longest of its numbers, or words."""
+    """Return the distance [points] from the line of a vertical ``axis`` to the far side of its longest tick label."""
     if not _numbered(axis):
         return 0.0
     low, high = sorted(axis.get_view_interval())
@@ -191,7 +192,7 @@ def look() -> Iterator[None]:
 
 @cache
 def _settings() -> dict[str, Any]:
-    """Every setting, checked by matplotlib once; which backend is used belongs to the process."""
+    """Return all settings of matplotlib, validated once, except the backend, which belongs to the process."""
     import matplotlib as mpl
 
     with mpl.rc_context():
@@ -218,23 +219,23 @@ def subplots(
 def plain_subplots(
     rows: int = 1, columns: int = 1, height: float = 3.2, above: float = 0.0, **options: Any
 ) -> tuple[Figure, Any]:
-    """Return what :func:`subplots` does, for axes with nothing around them but labels and titles.
+    """As :func:`subplots`, for axes with nothing around them but labels and titles.
 
-    They are laid out in a fraction of the time; ``above`` [points] is kept free over them.
+    Their layout takes a fraction of the time; ``above`` [points] is kept free over them.
     """
 
     return subplots(rows, columns, height, layout=FigureMargins(above), **options)
 
 
 def labelled(figure: Figure, units: Units) -> Figure:
-    """Put everything written in ``figure`` into the units and words of an axis, and return the figure."""
+    """Change all text in ``figure`` to the ``units`` of an axis, and return the figure."""
     from matplotlib.text import Text
 
     if units.plain:
         return figure
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
-            _read_in(axis, units)
+            _rescale(axis, units)
     for text in figure.findobj(Text):
         written = text.get_text()
         if (own := units.text(written)) != written:
@@ -242,8 +243,8 @@ def labelled(figure: Figure, units: Units) -> Figure:
     return figure
 
 
-def _read_in(axis: Any, units: Units) -> None:
-    """Count ``axis`` in what people read where that is another scale: an axis of a plot in mm in deg."""
+def _rescale(axis: Any, units: Units) -> None:
+    """Show the numbers of ``axis`` in the display unit of ``units`` if its scale differs, such as deg for mm."""
     label = axis.get_label_text()
     unit, factor = units.read(label.partition("[")[2].partition("]")[0])
     if factor == 1.0 or axis.get_scale() not in ("linear", "log"):
@@ -284,7 +285,7 @@ def svg(figure: Figure, key: str = "") -> str:
 
 
 def _laid_out(figure: Figure) -> Figure:
-    """``figure`` with its axes in their places for SVG: saving would draw everything once more to find them."""
+    """Lay out ``figure`` for SVG and return it: otherwise saving would draw everything twice."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     if (engine := figure.get_layout_engine()) is not None:
@@ -305,7 +306,7 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
 
 
 def draw(figure: Figure, path: Path, form: str) -> None:
-    """Write ``figure`` to ``path`` in one of the formats ``UNDATED``: the same figure gives the same bytes."""
+    """Write ``figure`` to ``path`` in one of the formats of ``UNDATED``; the same figure gives the same bytes."""
     with look():
         figure.savefig(path, format=form, metadata=UNDATED[form])
 
@@ -332,16 +333,8 @@ def thin(x: np.ndarray, y: np.ndarray, bins: int = 900) -> tuple[np.ndarray, np.
 
 def hertz_axis(axes: Axes) -> None:
     """Add a frequency axis in Hz on top of an axis in rad/s."""
-    top = axes.secondary_xaxis("top", functions=cast(Any, (_to_hertz, _from_hertz)))
+    top = axes.secondary_xaxis("top", functions=cast(Any, (lambda w: w / (2 * np.pi), lambda f: f * (2 * np.pi))))
     top.set_xlabel("frequency [Hz]")
-
-
-def _to_hertz(w: np.ndarray) -> np.ndarray:
-    return w / (2 * np.pi)
-
-
-def _from_hertz(f: np.ndarray) -> np.ndarray:
-    return f * (2 * np.pi)
 
 
 def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.04, **options: Any) -> None:

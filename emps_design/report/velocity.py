@@ -1,14 +1,7 @@
-"""The sections on the velocity loop and the force loop: gains, margins, Bode, Nyquist, poles, step response.
+"""The sections on the velocity loop, its implementation, the force loop, and the controller of the axis file.
 
-The sections on the velocity loop: axis and gains, and its Bode, Nyquist, poles and step response.
-
-The section for the person at the drive: the code to paste, the room below the limit, what a wrong model does.
-
-The section on the force loop: stable or not, margins, and how large its gain may be.
-
-Pictures of the force loop: how large k_e1 may be, and the loop at the gain chosen.
-
-The section on the controller that the axis file has: its loops within one another, each with its margins.
+They have gains, margins and pictures of the loops, the difference equation of the drive, the range of margins under a
+mismatch, and the largest gain of the force loop.
 """
 
 from __future__ import annotations
@@ -56,7 +49,7 @@ AT_THE_PLANT_INPUT = {
 
 MISMATCH = 0.02  # the error of Section IV-B of the paper
 
-WALLS = np.geomspace(1.0 / 30.0, 30.0, 22)  # times the design's own
+WALLS = np.geomspace(1.0 / 30.0, 30.0, 22)  # stiffnesses, relative to that of the design
 
 
 def gains_section(velocity: VelocityLoopDesign) -> Section:
@@ -90,7 +83,7 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         [Html(symbol("omega_0v")), frequency(velocity.omega_0v, 6), equations[2]],
         [Html(symbol("z_v")), number(velocity.z_v, 6), equations[2]],
         ["structure", velocity.structure.label, "of the velocity loop"],
-        *([one.kind, quantity(one.frequency, "Hz"), "filter of the command"] for one in velocity.filters),
+        *([stage.kind, quantity(stage.frequency, "Hz"), "filter of the command"] for stage in velocity.filters),
     ]
     return Section(
         "Axis and gains",
@@ -103,7 +96,7 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         Table(["quantity", "value", "meaning"], rows, f"The axis {axis.name} as designed on."),
         Table(["gain", "value", "equation"], gains, "Gains and canonical form of the velocity loop."),
         None
-        if velocity.retuned_at  # these are the margins that (7) can give
+        if velocity.retuned_at  # the range is that of the gains of (7)
         else Text(
             f"At this crossover there are gains for phase margins between {angle(low_high[0])} and "
             f"{angle(low_high[1])}."
@@ -117,7 +110,7 @@ def _parameters(effect: Any) -> str:
 
 
 def velocity_section(velocity: VelocityLoopDesign) -> Section:
-    """Return the section on the loop: Bode, Nyquist, poles and its step response, sampled too where that is stable."""
+    """Return the section on the loop: Bode, Nyquist, poles and step response, continuous and sampled."""
     from emps_design.control.velocity.comparison import step_responses
 
     error, plant = broken_loops(velocity)
@@ -259,26 +252,27 @@ def _mismatch_table(study: dict[str, Any], mismatch: float) -> Table | Text:
 
 
 def force_limit_figure(design: ForceLoopDesign) -> Figure:
-    """Draw the largest k_e1 over the stiffness of the wall, continuous and sampled, with the gain chosen.
+    """Draw the largest k_e1 over the stiffness of the wall, continuous and sampled, and the k_e1 of the design.
 
-    Around the design's wall; without one, around the stiffness at which the mass swings at the crossover.
+    The range is around the wall of the design; without one, around the stiffness with which the mass would have its
+    resonance at the crossover.
     """
     loop = design.velocity_loop
     centre = design.environment or loop.axis.mechanics.mass * loop.crossover**2
     stiffness = centre * WALLS
-    walls = [replace(design, environment=float(one)) for one in stiffness]
-    found = {
+    walls = [replace(design, environment=float(stiffness)) for stiffness in stiffness]
+    limits_of = {
         name: [getattr(wall, f"k_e1_max_{name}") for wall in walls] for name in ("continuous", "sampled")
     }  # None: no limit, 0: always unstable
     with look():
         figure, axes = subplots(height=3.4)
-        for (name, limits), color, style in zip(found.items(), (BLUE, RED), ("-", "--"), strict=True):
+        for (name, limits), color, style in zip(limits_of.items(), (BLUE, RED), ("-", "--"), strict=True):
             shown = np.array([limit or np.nan for limit in limits], dtype=float)
             axes.loglog(stiffness / 1e3, shown, color=color, linestyle=style, label=f"largest $k_{{e1}}$, {name}")
         axes.autoscale_view()
         bottom, top = axes.get_ylim() if np.any(np.isfinite(_drawn(axes))) else (design.k_e1, design.k_e1)
         bottom, top = min(bottom, design.k_e1 / 2.0), max(top, design.k_e1 * 2.0)
-        edge = np.array([np.nan if limit is None else max(limit, bottom) for limit in found["sampled"]])
+        edge = np.array([np.nan if limit is None else max(limit, bottom) for limit in limits_of["sampled"]])
         if np.any(np.isfinite(edge)):
             axes.fill_between(stiffness / 1e3, edge, np.full(edge.size, top), color=RED, alpha=0.08, linewidth=0)
         axes.set_ylim(bottom, top)
@@ -309,10 +303,10 @@ def force_loop_figure(design: ForceLoopDesign) -> Figure:
     w = np.geomspace(0.5, np.pi / period * (1 - 1e-9), 500)
     loop = design.response(w)
     with look():
-        figure, (left, right) = subplots(1, 2, height=4.0)
-        left.plot(loop.real, loop.imag, color=RED)
-        nyquist_plane(left, (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
-        z_plane(right, np.asarray(design.poles), "closed-loop poles, z plane")
+        figure, (nyquist_axes, z_axes) = subplots(1, 2, height=4.0)
+        nyquist_axes.plot(loop.real, loop.imag, color=RED)
+        nyquist_plane(nyquist_axes, (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
+        z_plane(z_axes, np.asarray(design.poles), "closed-loop poles, z plane")
     return figure
 
 
@@ -377,7 +371,7 @@ def force_section(force: ForceLoopDesign) -> Section:
 def controller_section(loops: Sequence[NestedLoop], kept: Sequence[NestedLoop] = ()) -> Section:
     """Return the section on the nested ``loops`` of a controller, the whole last: stability first, then margins.
 
-    ``kept`` are the loops with the velocity loop of the design in the place of its own.
+    ``kept`` are the same loops with the velocity loop of the design in place of the controller's own.
     """
     whole = loops[-1].margins
     verdict = Callout("good", "stable.") if whole.stable else Callout("stop", "the controller's loop is unstable.")

@@ -193,7 +193,7 @@ class DesignView:
         self.machine = pn.widgets.Select(
             label="Axis", options=list(machines), value=state.axis.name, width=306, margin=(4, 6)
         )
-        self.machine.param.watch(self._machine_chosen, "value")
+        self.machine.param.watch(lambda event: self._design_on(self.machines[event.new]), "value")
         self.file = AxisFile(opened or self.add_axis, self._refuse, width=306)
         self.fresh = pn.widgets.Button(label="Start values of this axis", width=306, margin=(2, 6))
         self.fresh.on_click(lambda event: self._start_values())
@@ -258,9 +258,6 @@ class DesignView:
         from emps_design.control.velocity.limits import first_try
 
         return first_try(self.state.axis, self.state.frequency, kind)
-
-    def _machine_chosen(self, event: Any) -> None:
-        self._design_on(self.machines[event.new])
 
     def _design_on(self, axis: Axis) -> None:
         """Design the specification on ``axis``, and list what the axis has changed in the state."""
@@ -410,12 +407,8 @@ class DesignView:
             self.plane.color(regions)
             self._plane = regions
         self.plane.show(state.specification, self.design, self.pinned)
-        self._show_numbers()
+        self.numbers.object = self._own(numbers_table(state, self.design, self.pinned))
         self.laws.object = self._own(laws_table(state, self.design))
-
-    def _show_numbers(self) -> None:
-        if self.design is not None:
-            self.numbers.object = self._own(numbers_table(self.state, self.design, self.pinned))
 
     def _own(self, text: str) -> str:
         """Return ``text`` in the units of the axis."""

@@ -119,7 +119,10 @@ def follows(axis: Axis) -> str:
 
 def designed(state: State) -> Axis:
     """Return the axis of ``state`` with the controller of its design; :class:`EmpsError` if that is unstable."""
-    return state.axis.replace(controller=_for_the_drive(state))
+    design = velocity_design(state)
+    if design.refused:
+        raise EmpsError(f"no controller is handed out: {design.refused}")
+    return state.axis.replace(controller=design.controller_table())
 
 
 def drive_zip(compensation: Compensation) -> bytes:
@@ -154,14 +157,6 @@ def _json_text(document: Any) -> str:
 def model_toml(state: State) -> str:
     """Return the axis with the controller of the design as TOML."""
     return designed(state).to_toml()
-
-
-def _for_the_drive(state: State) -> dict[str, Any]:
-    """Return the controller table of the design of ``state``; :class:`EmpsError` if its loop is unstable."""
-    design = velocity_design(state)
-    if design.refused:
-        raise EmpsError(f"no controller is handed out: {design.refused}")
-    return design.controller_table()
 
 
 class FilesView:

@@ -171,7 +171,7 @@ def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data, sketched)
     assert report.results.velocity.axis.mechanics.mass == pytest.approx(95.1089, abs=0.1085)
     html = report.page.html()
     assert "identified from DATA_EMPS" in html
-    assert report.found[0].sha256 in html
+    assert report.identifications[0].sha256 in html
     assert "4.08 %" in html
 
 
@@ -179,7 +179,7 @@ def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data, sketched)
 def test_an_axis_that_is_named_stays_as_it_is(emps_data, undrawn):
     report = assemble_report("emps2018", emps_data / "DATA_EMPS.mat", crossover=100.0, model="asymmetric")
     assert report.results.velocity.axis == machine("emps2018")
-    assert [one.model for one in report.found] == ["asymmetric", "symmetric"]
+    assert [one.model for one in report.identifications] == ["asymmetric", "symmetric"]
     assert "as it is written" in report.results.notes[0]
 
 

@@ -193,8 +193,8 @@ def test_a_record_is_identified_with_the_drive_of_the_axis_that_made_it(sketched
     own, alike = (
         assemble_report(other, record, design_on="axis", crossover=100.0, record_axis=axis) for axis in (made_on, None)
     )
-    assert own.found[0].parameters["mass"].value == pytest.approx(95.1, abs=1.0)
-    assert alike.found[0].parameters["mass"].value == pytest.approx(95.1 * 70.0 / 35.15, rel=0.02)
+    assert own.identifications[0].parameters["mass"].value == pytest.approx(95.1, abs=1.0)
+    assert alike.identifications[0].parameters["mass"].value == pytest.approx(95.1 * 70.0 / 35.15, rel=0.02)
     assert own.results.velocity.axis == alike.results.velocity.axis
     assert "is identified below, with the drive of emps2019." in own.page.html()
     assert "is compared with it below." in alike.page.html()
@@ -206,6 +206,6 @@ def test_a_record_of_an_axis_with_other_units_is_left_out_and_the_page_says_so(s
         JOINT, synthetic_record(made_on, laps=1, stroke=0.1), design_on="axis", crossover=100.0, record_axis=made_on
     )
     page = report.page.html()
-    assert report.found == ()
+    assert report.identifications == ()
     assert "The record was made on emps2019, an axis with other units: this page leaves it out." in page
     assert "<h2>Record" not in page
