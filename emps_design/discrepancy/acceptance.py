@@ -1,10 +1,9 @@
-"""What counts as a finding: beyond chance, on strokes the fit has not seen, in most of them, and worth having.
+"""When an effect is a finding: it gains more than chance, on most of the selecting strokes, and enough to matter.
 
-What chance alone does to the search: the healthy reference that a finding must beat.
-
-In the whitened residual a healthy drive is white noise less what refitting the baseline absorbs. The signatures of all
-effects at all their starts, simulated in closed loop with their states, are laid over resampled noise: the largest
-gain over all candidates, in each of many resamples, is what "nothing is missing" looks like.
+The healthy reference says what chance alone gains. The whitened residual of a healthy drive is white noise less what
+refitting the baseline absorbs. The signatures of all effects at all their starts, simulated in closed loop, are
+projected onto resampled noise: the largest gain over all candidates in each resample is the distribution of the gain
+where nothing is missing.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ from emps_design.discrepancy.records import START_UP
 from emps_design.discrepancy.starts import Start
 
 RESAMPLES = 199
-TOGETHER = 50  # of them, laid over the signatures at a time: these are many megabytes to read
-BLOCK = 250  # samples of noise kept together, so that what correlation the whitening left stays in
+TOGETHER = 50  # resamples projected at a time: the signatures are many megabytes to read
+BLOCK = 250  # samples of a block of noise: keeps the correlation that whitening left
 
-Accept = Callable[[Fit, Fit], bool]  # whether the first, with one effect more, is a finding over the second
+Accept = Callable[[Fit, Fit], bool]  # whether the first fit, with one effect more, is a finding over the second
 
 
 @dataclass(frozen=True)
 class Healthy:
     """Largest gains (n_resamples,) in whitened cost over all candidates, sorted.
 
-    ``searched``: each is that of a whole simulated record, searched like the real one.
+    ``searched``: each gain is that of a simulated healthy record, searched like the measured one.
     """
 
     largest: np.ndarray
@@ -58,11 +57,11 @@ class Healthy:
 
 
 def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int) -> Healthy:
-    """Lay the signatures of ``screened`` over resampled noise ``draws`` (m,), circular blocks of it."""
-    if not screened:  # nothing was tried, so nothing can be gained by chance
+    """Project resampled noise, circular blocks of ``draws`` (m,), onto the signatures of ``screened``."""
+    if not screened:  # no candidate, so no gain by chance
         return Healthy(np.zeros(RESAMPLES))
     generator = np.random.default_rng(seed)
-    signatures = [start.signature for found in screened for start in found]  # free of what is absorbed
+    signatures = [start.signature for starts in screened for start in starts]  # free of what is absorbed
     halves = [(np.array(signatures[place::CORES]),) for place in range(min(CORES, len(signatures)))]
     largest, n = np.empty(RESAMPLES), signatures[0].size
     for start in range(0, RESAMPLES, TOGETHER):
@@ -75,13 +74,13 @@ def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int)
 
 
 def blocks(m: int, n: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Where the blocks of ``n`` samples out of ``m`` begin, and a random sign of each."""
+    """First sample of each block for ``n`` samples out of ``m``, and a random sign of each, (n_blocks,) both."""
     count = -(-n // BLOCK)
     return generator.integers(0, m, count), generator.choice((-1.0, 1.0), count)
 
 
 def resampled(draws: np.ndarray, n: int, begins: np.ndarray, signs: np.ndarray) -> np.ndarray:
-    """``n`` innovations in circular blocks of ``draws`` (m,), as :func:`blocks` drew them."""
+    """``n`` innovations: the circular blocks of ``draws`` (m,) that :func:`blocks` drew."""
     rings = sliding_window_view(np.concatenate((draws, draws[:BLOCK])), BLOCK)
     return (rings[begins] * signs[:, None]).ravel()[:n]
 
@@ -100,18 +99,18 @@ class Judge:
         return (
             worse.cost_fit - better.cost_fit > self.healthy.threshold
             and gained > worth * _cost(worse, "used", burst)
-            and _seen_again(better, worse, burst)
+            and _gain_repeats(better, worse, burst)
             and share_of_strokes(better, worse, burst) >= rules.STROKES
             and self._faint(better.model) is None
         )
 
     def to_beat(self, worse: Fit) -> float:
-        """The gain on the fitting part [whitened cost] beyond which an effect added to ``worse`` is looked at."""
+        """Gain on the fitting part [whitened cost] that an effect added to ``worse`` must exceed."""
         burst, worth = self._demands(worse)
         return max(self.healthy.threshold, worth * _cost(worse, "fit", burst))
 
     def refitted(self, hypothesis: Hypothesis) -> Fit:
-        """A model fitted to all that may be used, without the effects whose force is lost in the noise by then."""
+        """``hypothesis`` fitted to all used samples, without effects whose force is then below the noise."""
         fitted = refitted(hypothesis)
         while (faint := self._faint(fitted.model)) is not None:
             fitted = refitted(fitted.with_model(fitted.model.without(faint)))
@@ -124,14 +123,14 @@ class Judge:
         return all(quiet) and not self.leaves_force(fitted)
 
     def leaves_structure(self, fitted: Fit) -> bool:
-        """Whether ``fitted`` leaves more than noise could be."""
+        """Whether ``fitted`` leaves more than noise."""
         if any(effect.channel == "controller" for effect in fitted.model.effects):
-            # The edges of what the controller adds are known to a sample, and a sample missed is a burst.
+            # The edges of the controller's command are known to one sample; an edge missed by one sample is a burst.
             return self.leaves_unexplained(fitted)
         return self._more_than_noise(fitted, np.inf)
 
     def leaves_unexplained(self, fitted: Fit) -> bool:
-        """Whether ``fitted`` leaves more than noise could be even where bursts count little, as of play."""
+        """Whether ``fitted`` leaves more than noise when bursts, as of play, count little."""
         return self._more_than_noise(fitted, rules.BURST)
 
     def _more_than_noise(self, fitted: Fit, burst: float) -> bool:
@@ -139,13 +138,13 @@ class Judge:
         return cost > rules.STRUCTURED * fitted.problem.samples("used") or self.leaves_force(fitted)
 
     def _demands(self, worse: Fit) -> tuple[float, float]:
-        """Deviations at which a sample's cost is cut, and the share of the cost that a finding must be worth."""
+        """Deviations at which a sample's cost is capped, and the share of the cost that a finding must gain."""
         if self.at_floor(worse):
             return rules.BURST_AT_FLOOR, rules.WORTH_AT_FLOOR
         return rules.BURST, rules.WORTH
 
     def _faint(self, model: Candidate) -> int | None:
-        """The first effect whose amplitude is a force far below the noise, or a share that is next to none."""
+        """Index of the first effect with a force far below the noise, or a negligible dimensionless amplitude."""
         for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
             least = {"N": rules.AUDIBLE * self.floor.force, "": rules.LEAST_AMPLITUDE}
             sizes: dict[str, list[float]] = {unit: [] for unit in least}
@@ -153,39 +152,39 @@ class Judge:
                 if parameter.linear and parameter.unit in sizes:
                     unit = parameter.scale if parameter.unit == "" else 1.0
                     sizes[parameter.unit].append(float(np.abs(values[:, place]).max()) / unit)
-            if any(found and max(found) < least[unit] for unit, found in sizes.items()):
+            if any(amplitudes and max(amplitudes) < least[unit] for unit, amplitudes in sizes.items()):
                 return index
         return None
 
     def leaves_force(self, fitted: Fit) -> bool:
-        """Whether the force left is more than noise, however it looks once it is whitened.
+        """Whether the remaining force exceeds the noise, however white it looks.
 
-        The noise's own model may hold structure: that of the residual it was made of, or, where a drift makes laps
-        differ, the drift's.
+        The model of the noise may itself contain structure: that of the residual it was estimated from, or a drift
+        that makes laps differ.
         """
-        return bool(usual_rms(_force_left(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2)
+        return bool(usual_rms(_remaining_force(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2)
 
 
 def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
-    """Share of improvement in what the selecting strokes change: gains over gains and losses, stroke by stroke.
+    """Share of the gains in all gains and losses of the selecting strokes, 0 to 1.
 
-    Weighted, because a record may have two selecting strokes only; a loss within chance is none. No sample counts more
-    than ``burst`` deviations.
+    Weighted by size, because a record may have two selecting strokes only; a loss within chance counts as none. No
+    sample counts more than ``burst`` deviations.
     """
     gains, losses = 0.0, 0.0
     for change, split in zip(_changes(better, worse, burst), better.problem.splits, strict=True):
         for start, stop in split.strokes:
-            seen = split.select[start:stop]
-            if seen.sum() > START_UP:
-                gain = float(change[start:stop][seen].sum())
+            selected = split.select[start:stop]
+            if selected.sum() > START_UP:
+                gain = float(change[start:stop][selected].sum())
                 gains += max(gain, 0.0)
-                losses += max(-gain - rules.CHANCE * np.sqrt(2.0 * seen.sum()), 0.0)
+                losses += max(-gain - rules.CHANCE * np.sqrt(2.0 * selected.sum()), 0.0)
     return gains / (gains + losses) if gains > 0 else 0.0
 
 
 def force_rms(fitted: Fit) -> float:
-    """Rms [N] of measured minus simulated force on the used samples, its mean removed as the floor's is."""
-    return float(np.std(np.concatenate(_force_left(fitted))))
+    """Rms [N] of measured minus simulated force on the used samples, mean removed as for the floor."""
+    return float(np.std(np.concatenate(_remaining_force(fitted))))
 
 
 def explained(before: float, after: float, floor: float) -> float:
@@ -199,30 +198,30 @@ def explained(before: float, after: float, floor: float) -> float:
 
 
 def _bulk(fitted: Fit, model: Fit, burst: float) -> tuple[np.ndarray, ...]:
-    """Squared innovations (n,) per record, less where ``model`` lets noise grow, ``burst``^2 at most.
+    """Squared innovations (n,) per record, divided by the noise gain of ``model``, at most ``burst``^2.
 
-    Play that bounces, or an instant missed by a sample, leaves bursts that any effect can rearrange by luck; so
-    does noise where a saturated loop lets it grow.
+    Play that bounces, or an instant missed by one sample, leaves bursts that any effect can change by luck; so does
+    noise that a saturated loop amplifies.
     """
     pairs = zip(fitted.innovations, model.loudness, strict=True)
     return tuple(np.minimum((innovations / loudness) ** 2, burst**2) for innovations, loudness in pairs)
 
 
 def _cost(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
-    """Cost on ``part`` in which neither bursts count much nor what noise becomes where the model lets it grow."""
+    """Cost of ``fitted`` on ``part`` with bursts capped and amplified noise weighted down."""
     return float(fitted.problem.gather(_bulk(fitted, fitted, burst), part).sum())
 
 
 def _changes(better: Fit, worse: Fit, burst: float) -> tuple[np.ndarray, ...]:
-    """What ``better`` saves of every sample's cost, (n,) per record."""
+    """Cost that ``better`` saves in every sample, (n,) per record."""
     both = zip(_bulk(worse, worse, burst), _bulk(better, worse, burst), strict=True)
     return tuple(before - after for before, after in both)
 
 
-def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
-    """Whether the selecting part gains what the fitting part of each record, or of all, leads to expect.
+def _gain_repeats(better: Fit, worse: Fit, burst: float) -> bool:
+    """Whether the selecting part gains as much as the gain on the fitting part of each record predicts.
 
-    Or what ``better`` changes there, which is what a true effect gains: one that fades acts less on later strokes.
+    Or as much as ``better`` changes there, which a true effect gains: one that fades acts less on later strokes.
     """
     gained = expected = moved = 0.0
     n = better.problem.samples("select")
@@ -239,7 +238,7 @@ def _seen_again(better: Fit, worse: Fit, burst: float) -> bool:
     return gained > rules.SEEN_AGAIN * (min(expected, moved) if beyond_chance else expected)
 
 
-def _force_left(fitted: Fit) -> list[np.ndarray]:
+def _remaining_force(fitted: Fit) -> list[np.ndarray]:
     """Measured minus simulated force [N] on the used samples, (n_used,) per record, without simulating again."""
     problem = fitted.problem
     return problem.pick(tuple(map(problem.whitening.undo, fitted.innovations)), "used")

@@ -1,14 +1,11 @@
-"""The forces of a record along its measured motion: what acts, what a model makes of it, and what that leaves.
+"""The balance of forces along the measured motion: measured force, a model's force, and the residual.
 
-Nothing is simulated, so that no loop has to be known and none can be unstable; what is compared is the inverse dynamic
-model (5) of ``identify``, at its cut-off, away from rests. A model is one of its models: mass and friction, and terms
-beside them.
+Nothing is simulated, so that no loop has to be known and none can be unstable; the model is the inverse dynamic model
+(5) of ``identify``, at its cut-off, away from rests: mass and friction, and further terms.
 
-Which terms have a name: those that strokes which take no part ask for, each beside all the others.
-
-The test is the one of ``identify``, which proposes them: the error of held-out strokes at least halved, not by chance,
-and more than a small part of the force. What passes it is looked at once more: how much of it the held-out strokes ask
-for, and whether another effect of the library would do as well in its place.
+A term is named where held-out strokes need it beside all others. The test is that of ``identify``, which proposes the
+terms: the error of held-out strokes at least halves, not by chance, and by more than a small part of the force. Two
+more checks follow: the share of the term that held-out strokes want, and the effects that would fit as well.
 """
 
 from __future__ import annotations
@@ -42,54 +39,54 @@ NORMAL = 1.96  # deviations to either side that are an interval of 95 %
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model fitted to a balance: ``model`` around its solution ``value`` (p,), none of what resists below nothing.
+    """A model fitted to a balance: ``model`` with its solution ``value`` (p,), no mass or friction negative.
 
-    ``found`` is the identification, with the deviations; ``parameters`` the numbers by name, ``held`` the names of
-    those that would have been below nothing; ``moves`` what the deviation of the command's clock does to each.
+    ``identification`` has the deviations; ``held`` are the names of the parameters that would have been negative;
+    ``moves`` is by how much the uncertainty of the command's clock moves each parameter.
     """
 
-    found: Identification
+    identification: Identification
     model: Model
     value: np.ndarray
     held: tuple[str, ...]
     moves: Mapping[str, float]
 
     @classmethod
-    def of(cls, found: Identification, beside: Sequence[Filtered]) -> Fitted:
-        """The model of an identification, solved again within bounds where a number is below nothing.
+    def of(cls, identification: Identification, beside: Sequence[Filtered]) -> Fitted:
+        """The model of ``identification``, solved again within bounds where a mass or a friction is negative.
 
-        ``beside`` are the two rows of forces at the ends of what the command's clock leaves open.
+        ``beside`` are the forces with the command at either end of the uncertainty of its clock.
         """
-        W, Y, model = found.series["columns"], found.series["measured"], found.fitted
+        W, Y, model = identification.series["columns"], identification.series["measured"], identification.fitted
         if model.friction != ONE_WAY and len(model.names) != W.shape[1]:
             model = replace(model, friction=ONE_WAY)
         free, resists = solved(W, Y), sum(name in RESISTS for name in model.names)
         held = tuple(name for name, value in zip(model.names[:resists], free, strict=False) if value < 0.0)
         value = solved(W, Y, resists)
-        ends = [model.natural(solved(*regression(one, model), resists)) for one in beside]
+        ends = [model.natural(solved(*regression(rows, model), resists)) for rows in beside]
         moves = {name: 0.5 * abs(ends[1][name] - ends[0][name]) for name in model.names}
-        return cls(found, model, value, held, moves)
+        return cls(identification, model, value, held, moves)
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The numbers of the fit by name."""
+        """The fitted parameters by name."""
         return self.model.natural(self.value)
 
     @property
     def determined(self) -> dict[str, float]:
-        """Those of them that the record determines."""
-        return {name: x for name, x in self.parameters.items() if self.found.parameters[name].determined}
+        """The parameters that the record determines."""
+        return {name: x for name, x in self.parameters.items() if self.identification.parameters[name].determined}
 
     def tells(self, term: str) -> bool:
         """Whether the record determines every number of ``term``."""
-        return all(self.found.parameters[quantity.name].determined for quantity in TERMS[term].quantities)
+        return all(self.identification.parameters[quantity.name].determined for quantity in TERMS[term].quantities)
 
     def deviation(self, name: str) -> float:
-        """Standard deviation of the number ``name``: twice as much to either side is its 95 % interval, clock and all.
+        """Standard deviation of the parameter ``name``, from its 95 % interval and the uncertainty of the clock.
 
-        Of one that is held at nothing, what its interval has above nothing; 0 where it has none.
+        Of a parameter held at zero, from the part of its interval above zero; 0 where there is none.
         """
-        ends = self.found.parameters[name].interval_95
+        ends = self.identification.parameters[name].interval_95
         if ends is None:
             return 0.0
         half = max(ends[1], 0.0) if name in self.held else 0.5 * (ends[1] - ends[0])
@@ -98,14 +95,14 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Balance:
-    """A ``record`` of an ``axis`` along its motion, its command moved as its ``clock`` says, below ``cutoff`` [Hz].
+    """A ``record`` of an ``axis``, its command shifted by the delay of ``clock``, low-passed at ``cutoff`` [Hz].
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
     >>> axis = machine("emps2019")
     >>> balance = Balance.of(synthetic_record(axis, laps=1), axis)
     >>> fitted = balance.fitted()
-    >>> round(fitted.parameters["mass"]), round(float(np.std(balance.left(fitted)[balance.filtered.used])), 1)
+    >>> round(fitted.parameters["mass"]), round(float(np.std(balance.residual(fitted)[balance.filtered.used])), 1)
     (95, 0.3)
     """
 
@@ -117,7 +114,7 @@ class Balance:
 
     @classmethod
     def of(cls, record: Record, axis: Axis, alike: Balance | None = None) -> Balance:
-        """The balance of ``record``, filtered and moved as one ``alike``, or as it asks for itself."""
+        """The balance of ``record``, with cut-off and clock of ``alike``, or chosen from the record."""
         axis = axis.supplied_by(record)
         if alike is None:
             friction = ONE_WAY if goes_one_way(record) else SYMMETRIC
@@ -129,12 +126,12 @@ class Balance:
 
     @cached_property
     def moved(self) -> Record:
-        """The record with its command where the motion answers to it."""
+        """The record with its command shifted to when the motion responds."""
         return moved(self.record, self.clock.samples)
 
     @cached_property
     def filtered(self) -> Filtered:
-        """That record behind the filters of ``identify``."""
+        """That record through the filters of ``identify``."""
         return filter_record(self.moved, self.axis, "hold", self.cutoff)
 
     @cached_property
@@ -144,25 +141,25 @@ class Balance:
 
     def fitted(self, terms: Sequence[str] = ()) -> Fitted:
         """The model with ``terms`` that leaves least; raises as :func:`~emps_design.identification.identify` does."""
-        asked = Request(SYMMETRIC, BY_LEAST_SQUARES, cutoff=self.cutoff, with_=tuple(terms) or NO_TERMS)
-        return Fitted.of(identify_by_least_squares(self.moved, self.axis, asked), self._beside)
+        request = Request(SYMMETRIC, BY_LEAST_SQUARES, cutoff=self.cutoff, with_=tuple(terms) or NO_TERMS)
+        return Fitted.of(identify_by_least_squares(self.moved, self.axis, request), self._beside)
 
     @cached_property
     def _beside(self) -> list[Filtered]:
-        """The same forces with the command a deviation of its clock to either side."""
+        """The filtered record with the command a standard deviation of its clock earlier and later."""
         ends = [self.clock.samples + side * self.clock.std for side in (-1.0, 1.0)]
         return [filter_record(moved(self.record, end), self.axis, "hold", self.cutoff) for end in ends]
 
     def force(self, fitted: Fitted) -> np.ndarray:
-        """The force (rows,) [N] that a model asks for along the motion."""
+        """Force (rows,) [N] of a model along the motion."""
         return regression(self.filtered, fitted.model)[0] @ fitted.value
 
-    def left(self, fitted: Fitted) -> np.ndarray:
-        """What a model leaves (rows,) [N] of the force that acts, 0 in rows that take no part."""
+    def residual(self, fitted: Fitted) -> np.ndarray:
+        """Measured minus model force (rows,) [N], 0 in rows that take no part."""
         return regression(self.filtered, fitted.model)[1] - self.force(fitted)
 
     def along(self, rows: np.ndarray) -> np.ndarray:
-        """A signal (rows,) at the samples (n,) of the record: straight between the rows, which resolve it."""
+        """A signal (rows,) at the samples (n,) of the record, interpolated linearly."""
         return np.interp(self.record.t, self.filtered.t, rows)
 
     @cached_property
@@ -172,13 +169,13 @@ class Balance:
         return inside & (self.along(self.filtered.used.astype(float)) > 0.999)
 
     def missing(self, fitted: Fitted) -> MissingForce:
-        """What a model misses at the samples of the record."""
+        """The missing force of a model at the samples of the record."""
         moving = replace(self.filtered.motion, tau=self.along(self.force(fitted)), voltage=self.record.u)
-        return MissingForce(moving, self.along(self.left(fitted)), self.used)
+        return MissingForce(moving, self.along(self.residual(fitted)), self.used)
 
 
 def terms_of(axis: Axis, effects: Mapping[str, Effect]) -> dict[str, str]:
-    """The terms that may be named on ``axis``, and the one of ``effects`` by name that each is.
+    """The terms that may be named on ``axis``, each with the name of its effect in ``effects``.
 
     >>> from emps_design.effects import known_effects
     >>> from emps_design.machines import machine
@@ -197,9 +194,9 @@ def terms_of(axis: Axis, effects: Mapping[str, Effect]) -> dict[str, str]:
 class Named:
     """An ``effect`` that is named, with ``parameters`` and ``std`` by name.
 
-    ``force`` (rows,) [N] is what it adds along the motion; ``without`` the model fitted without it. ``chance`` is the
-    probability that strokes differ so; ``confirmed`` the share of it that held-out strokes ask for, with its deviation;
-    ``equivalents`` are the effects that would do as well.
+    ``force`` (rows,) [N] is its force along the motion; ``without`` the model fitted without it. ``chance`` is the
+    p-value of the strokes' errors; ``confirmed`` the share of it that held-out strokes want, with its deviation;
+    ``equivalents`` are the effects that would fit as well.
     """
 
     effect: Effect
@@ -214,7 +211,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Tried:
-    """A term that was looked for: error of held-out strokes [N rms] with it, and how many ``times`` more without."""
+    """A candidate term: ``error`` of held-out strokes [N rms] with it, ``times`` larger without it."""
 
     effect: Effect
     error: float
@@ -222,57 +219,57 @@ class Tried:
     accepted: bool
 
 
-def asked_for(
+def select_terms(
     balance: Balance, terms: Mapping[str, str], library: Mapping[str, Effect]
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Those of ``terms`` that the record asks for, what it loses most without first, and what to say of others.
+    """Those of ``terms`` that the record needs, the most important first, and remarks on terms left out.
 
-    None in whose place the strokes ask for another effect of the ``library``: it would stand in for that.
+    A term is left out where the strokes prefer another effect of the ``library`` in its place.
     """
     if balance.strokes.count < FEWEST_STROKES:
         return (), []
     proposed = proposed_terms(balance.moved, balance.axis, balance.friction, balance.cutoff)
-    asked = [term for term in proposed if term in terms]
-    strokes, lost, said = balance.strokes, {}, []
-    whole = strokes.errors(asked)
-    for term in asked:
-        rest, effect = [one for one in asked if one != term], library[terms[term]]
+    candidates = [term for term in proposed if term in terms]
+    strokes, lost, remarks = balance.strokes, {}, []
+    whole = strokes.errors(candidates)
+    for term in candidates:
+        rest, effect = [other for other in candidates if other != term], library[terms[term]]
         better = [
             library[name].label
             for name, error in _rivals(balance, effect, rest, library).items()
             if strokes.ask_for(error, whole)
         ]
         if better:
-            said.append(
+            remarks.append(
                 f"{inside(effect.label)} would explain much, and {inside(' or '.join(better))} in its place more, of "
                 "which a balance of forces finds no numbers: neither is named"
             )
         else:
             lost[term] = float(strokes.errors(rest).sum())
-    return tuple(sorted(lost, key=lambda term: -lost[term])), said
+    return tuple(sorted(lost, key=lambda term: -lost[term])), remarks
 
 
-Shares = Mapping[str, Mapping[str, float] | None]  # of each term, what data that took no part ask for
+Shares = Mapping[str, Mapping[str, float] | None]  # of each term, the share that held-out data want
 
 
 def shares(balance: Balance, terms: Sequence[str], other: Balance | None) -> Shares:
-    """How much of each of ``terms`` the strokes of ``other`` ask for, or those of ``balance``, each in turn.
+    """Share of each of ``terms`` that the strokes of ``other`` want, or those of ``balance``, each held out in turn.
 
-    None where they do not exercise it.
+    None where the strokes do not exercise the term.
     """
     judged, known = (balance.strokes, None) if other is None else (other.strokes, balance.strokes)
     whole = judged.left(terms, known=known)
     return {
-        term: share_asked(judged, whole, judged.left([one for one in terms if one != term], known=known))
+        term: share_asked(judged, whole, judged.left([other for other in terms if other != term], known=known))
         for term in terms
     }
 
 
 def share_asked(strokes: Strokes, whole: np.ndarray, without: np.ndarray) -> dict[str, float] | None:
-    """How much ``strokes`` ask for of what turns the errors ``without`` (rows,) of their prediction into ``whole``.
+    """Share of a term that ``strokes`` want, from the prediction errors ``without`` it and with it, ``whole`` (rows,).
 
-    The regression of the one error on what the two differ by, with the deviation that strokes by themselves tell; None
-    where they hardly differ.
+    Regression of the error without on the difference of both, with the standard deviation between strokes; None where
+    they hardly differ.
     """
     adds = without - whole
     wanted, size = strokes.by_stroke(adds * without), strokes.by_stroke(adds**2)
@@ -282,25 +279,25 @@ def share_asked(strokes: Strokes, whole: np.ndarray, without: np.ndarray) -> dic
     return {"share": share, "std": float(np.linalg.norm(wanted - share * size) / size.sum())}
 
 
-def refuted(asked: Shares) -> tuple[str, ...]:
-    """The terms of which clearly another amount is asked for than all."""
+def refuted(wanted: Shares) -> tuple[str, ...]:
+    """The terms whose share is significantly different from 1."""
 
-    def apart(told: Mapping[str, float]) -> bool:
-        return abs(told["share"] - 1.0) > max(rules.ASKED_APART, rules.SURE * told["std"])
+    def apart(share: Mapping[str, float]) -> bool:
+        return abs(share["share"] - 1.0) > max(rules.ASKED_APART, rules.SURE * share["std"])
 
-    return tuple(term for term, told in asked.items() if told is not None and apart(told))
+    return tuple(term for term, share in wanted.items() if share is not None and apart(share))
 
 
-def named(
-    balance: Balance, fitted: Fitted, terms: Mapping[str, str], library: Mapping[str, Effect], asked: Shares
+def named_effects(
+    balance: Balance, fitted: Fitted, terms: Mapping[str, str], library: Mapping[str, Effect], wanted: Shares
 ) -> tuple[Named, ...]:
-    """What is named of the model ``fitted``: those of ``terms`` that are ``asked`` for, with what is known of each."""
-    found, strokes = [], balance.strokes
-    whole = strokes.errors(tuple(asked))
-    for term, confirmed in asked.items():
-        effect, rest = library[terms[term]], [one for one in asked if one != term]
+    """The effects to name in the model ``fitted``: those of ``terms`` that have a share in ``wanted``."""
+    findings, strokes = [], balance.strokes
+    whole = strokes.errors(tuple(wanted))
+    for term, confirmed in wanted.items():
+        effect, rest = library[terms[term]], [other for other in wanted if other != term]
         without, parameters = strokes.errors(rest), effect.identified_by[term](fitted.parameters)
-        found.append(
+        findings.append(
             Named(
                 effect,
                 parameters,
@@ -312,7 +309,7 @@ def named(
                 equivalents(balance, effect, rest, library, whole, without),
             )
         )
-    return tuple(found)
+    return tuple(findings)
 
 
 def equivalents(
@@ -323,10 +320,10 @@ def equivalents(
     whole: np.ndarray,
     without: np.ndarray,
 ) -> tuple[str, ...]:
-    """Effects of the ``library`` in whose place the strokes would not ask for ``effect``, beside ``rest``.
+    """Effects of the ``library`` that explain the strokes as well as ``effect`` does, beside the terms ``rest``.
 
-    ``whole`` and ``without`` (strokes,) are the errors with the effect and without it; of what lies between them an
-    equivalent takes nearly all.
+    ``whole`` and ``without`` (strokes,) are the errors with the effect and without it; an equivalent gains nearly all
+    of the difference.
     """
     most = float(whole.sum()) + rules.EQUIVALENT * float(without.sum() - whole.sum())
     rivals = _rivals(balance, effect, rest, library)
@@ -340,21 +337,21 @@ def equivalents(
 def _rivals(
     balance: Balance, effect: Effect, rest: Sequence[str], library: Mapping[str, Effect]
 ) -> dict[str, np.ndarray]:
-    """The errors (strokes,) with each effect in the place of ``effect`` that is known to be confused with it.
+    """Errors (strokes,) with each confusable effect in the place of ``effect``, beside the terms ``rest``.
 
-    Beside ``rest``, each in its best shape; of curves of any shape none, which could stand in for anything.
+    Each in its best shape; general curves are left out, because they could replace anything.
     """
-    strokes, found = balance.strokes, {}
+    strokes, errors = balance.strokes, {}
     for name, rival in library.items():
         if rival.confusable(effect) and rival.regressor is not None and not rival.general:
             tried = [strokes.by_stroke(strokes.left(rest, columns) ** 2) for columns in _columns(balance, rival)]
             if tried:
-                found[name] = min(tried, key=lambda error: float(error.sum()))
-    return found
+                errors[name] = min(tried, key=lambda error: float(error.sum()))
+    return errors
 
 
 def _columns(balance: Balance, effect: Effect) -> Iterator[list[np.ndarray]]:
-    """The columns of an ``effect`` along the motion, with every combination of its first shapes that is plausible."""
+    """The columns of ``effect`` along the motion, for every plausible combination of its starting shapes."""
     assert effect.regressor is not None
     shapes, motion = [p for p in effect.parameters if not p.linear], balance.filtered.motion
     size = {p.name: p.scale for p in effect.parameters if p.linear}
@@ -365,22 +362,25 @@ def _columns(balance: Balance, effect: Effect) -> Iterator[list[np.ndarray]]:
             yield list(balance.strokes.rows(columns.T).T)
 
 
-def tried(
-    balance: Balance, terms: Mapping[str, str], asked: Sequence[str], library: Mapping[str, Effect]
+def candidate_terms(
+    balance: Balance, terms: Mapping[str, str], selected: Sequence[str], library: Mapping[str, Effect]
 ) -> list[Tried]:
-    """What was looked for, the best first: each of ``terms`` beside those that were ``asked`` for."""
+    """The candidates, best first: each of ``terms`` beside those ``selected``."""
     if balance.strokes.count < FEWEST_STROKES:
         return []
     rows = []
     for term, name in terms.items():
-        whole, without = [*asked, *([] if term in asked else [term])], [one for one in asked if one != term]
+        whole, without = (
+            [*selected, *([] if term in selected else [term])],
+            [other for other in selected if other != term],
+        )
         error, more = (float(np.sqrt(np.mean(balance.strokes.left(model) ** 2))) for model in (whole, without))
-        rows.append(Tried(library[name], error, more / max(error, 1e-300), term in asked))
+        rows.append(Tried(library[name], error, more / max(error, 1e-300), term in selected))
     return sorted(rows, key=lambda row: -row.times)
 
 
 def _deviations(effect: Effect, term: str, fitted: Fitted) -> dict[str, float]:
-    """Standard deviations of the effect's numbers, by the derivatives after those that were identified."""
+    """Standard deviations of the effect's parameters, propagated from the identified ones by finite differences."""
     numbers = fitted.parameters
     square = dict.fromkeys(effect.identified_by[term](numbers), 0.0)
     for name, value in numbers.items():
@@ -392,7 +392,7 @@ def _deviations(effect: Effect, term: str, fitted: Fitted) -> dict[str, float]:
 
 
 def _force(balance: Balance, effect: Effect, term: str, parameters: Mapping[str, float]) -> np.ndarray:
-    """What the effect adds (rows,) [N] along the motion: of a bent friction, what no straight line has."""
+    """Force (rows,) [N] of the effect along the motion; of bent friction the part that no straight line fits."""
     assert effect.regressor is not None
     motion = balance.filtered.motion
     shape = {name: parameters[name] for name in effect.shape}
@@ -400,6 +400,6 @@ def _force(balance: Balance, effect: Effect, term: str, parameters: Mapping[str,
     force = balance.filtered.reduce(force)
     if term == BENT:
         used = balance.filtered.used
-        lines = np.column_stack([balance.filtered.reduce(one) for one in (motion.v, np.sign(motion.v))])
+        lines = np.column_stack([balance.filtered.reduce(signal) for signal in (motion.v, np.sign(motion.v))])
         force = force - lines @ np.linalg.lstsq(lines[used], force[used], rcond=None)[0]
     return np.asarray(force * balance.filtered.used)

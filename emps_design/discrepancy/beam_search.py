@@ -1,17 +1,14 @@
-"""The third stage: which effects to try together, the best few sets of them extended again and again.
+"""The third stage: a beam search over sets of effects.
 
-A beam search over sets of effects. Each round adds every effect to the best few models so far, refits everything, and
-keeps the best few sets: pairs in which neither effect stands out alone are found because a round starts from several
-first guesses. An effect that is a curve of any shape could stand in for others, and waits until none of them is found.
+Each round adds every effect to the best few models so far, refits everything, and keeps the best few sets: starting
+from several models finds pairs of effects of which neither stands out alone. A general curve could replace other
+effects, and is tried only when none of them is accepted.
 
-What adding one effect after the other cannot do: another effect, or another shape, in the place of one found.
+Adding effects one after the other is not enough. The first effect was fitted while the rest was missing, and may
+compensate for part of it: a lag for a delay, a resonance for an unknown friction. So effects are exchanged once the
+others are in the model, and effects that are no longer needed are pruned.
 
-What was found first was fitted while the rest was missing, and may stand in for part of it: a lag for a delay, a
-resonance at the frequency that made up best for a friction not known yet. Beside the others its own residual is clear.
-
-What was accepted first may be a stand-in for what was found after it: a model without what it no longer needs.
-
-Searches beside an unknown force: of one kind, or any function of the state.
+A search may also run beside an unknown force: of one kind, or any smooth function of the state.
 """
 
 from __future__ import annotations
@@ -37,9 +34,9 @@ from emps_design.errors import SimulationError
 from emps_design.progress import Progress, no_progress
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
-A_FEW = len(BEAM)  # effects after which the search goes on from one set only
+A_FEW = len(BEAM)  # effects from which on the search keeps one set only
 MOST_EFFECTS = 7
-PASSES = 5  # times the search goes on, from an exchange, an effect that was far behind, or a curve
+PASSES = 5  # times the search continues from an exchange, a pair, a low-ranked effect, or a curve
 UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
 
 Step = tuple[frozenset[str], frozenset[str]]  # from the effects of one model to those of another
@@ -49,10 +46,10 @@ IN_TURN = 3  # times that a force in the loop and the numbers beside it are fitt
 
 
 def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) -> list[Fit]:
-    """Models with what is easily confused with an effect of ``best``, or that effect anew, in its place.
+    """Fits of ``best`` with one effect replaced by a confusable one, or by itself from new starts.
 
-    ``known`` effects stay. The others keep their numbers until everything is fitted; so does the baseline, but where a
-    stand-in may have bent it the axis file's numbers are tried as well.
+    ``known`` effects stay. The other effects start from their numbers, and the baseline does too; where the replaced
+    effect may have bent the baseline, the axis file's numbers are tried as well.
     """
     places: list[tuple[Hypothesis, Effect]] = []
     for index, effect in enumerate(best.model.effects):
@@ -64,23 +61,23 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
         without = evaluate(rest)
         if not without.innovations:
             return []
-        alike = tuple(one for one in library if not one.general and (one is effect or one.confusable(effect)))
+        alike = tuple(other for other in library if not other.general and (other is effect or other.confusable(effect)))
         return extended(without, alike)[0]
 
     return [fitted for fits in side_by_side(instead, places) for fitted in fits if admissible(fitted)]
 
 
 def pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept) -> list[Fit]:
-    """``best`` without one effect after the other that is no finding beside the rest, ``known`` ones kept.
+    """The models of ``best`` with unneeded effects removed one by one, ``known`` ones kept; empty where all are needed.
 
-    The rest may have been ``tried`` before, and have found a better place than the one it is left in.
+    The smaller model may have been ``tried`` before with a better fit, which is then taken.
     """
     path: list[Fit] = []
     while len(best.model.effects) > len(known) + 1:
         smaller = [best.model.without(i) for i, name in enumerate(best.model.names) if name not in known]
-        # With as much care as the best one was fitted, or every effect would look needed.
+        # With the same effort as the best model, or every effect would look needed.
         careful = len(best.model.effects) <= rules.CREDIBLE
-        rests = side_by_side(_fitted_anew if careful else fit, [(best.with_model(model),) for model in smaller])
+        rests = side_by_side(_fit_with_play if careful else fit, [(best.with_model(model),) for model in smaller])
         sound = [_better(rest, tried) for rest in rests if admissible(rest)]
         idle = [rest for rest in sound if not accept(best, rest)]
         if not idle and sound:
@@ -93,20 +90,20 @@ def pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept) 
     return path
 
 
-def _fitted_anew(hypothesis: Hypothesis) -> Fit:
-    """Fit a model, and play in it anew."""
+def _fit_with_play(hypothesis: Hypothesis) -> Fit:
+    """Fit a model, its play by :func:`play_anew`."""
     return play_anew(fit(hypothesis))
 
 
 def _better(fitted: Fit, tried: FitsBySet) -> Fit:
-    """``fitted``, or what was ``tried`` with the same effects where that leaves less."""
+    """The better of ``fitted`` and the fit in ``tried`` with the same effects."""
     return min((fitted, tried.get(set_of(fitted), fitted)), key=lambda f: f.cost)
 
 
 def _reshaped(best: Fit, rest: Fit) -> Fit:
-    """``rest`` with what is easily confused with the effect of ``best`` it lacks fitted anew, other shapes tried.
+    """``rest`` with the effects refitted, in other shapes too, that are confusable with the one it lacks of ``best``.
 
-    Beside that effect it had only a part to play, and its shape may be that of the part.
+    Beside that effect they explained only a part, and their shapes may fit only that part.
     """
     dropped = next(effect for effect in best.model.effects if effect.name not in rest.model.names)
     for effect, values in zip(rest.model.effects, rest.model.values, strict=True):
@@ -117,31 +114,31 @@ def _reshaped(best: Fit, rest: Fit) -> Fit:
     return rest
 
 
-def begun(calibration: Calibration, progress: Progress, most: int, before: Outcome | None = None) -> Outcome:
+def begin_search(calibration: Calibration, progress: Progress, most: int, before: Outcome | None = None) -> Outcome:
     """Extend the baseline of ``calibration`` up to ``most`` effects, while its judge accepts the best admissible one.
 
-    After a search ``before``, under other noise, its model is extended instead, where that is accepted. What was found
-    so :func:`finished` may still change. An interrupt from the keyboard ends either where it is.
+    After a search ``before``, under other noise, its model is extended instead, where that is accepted.
+    :func:`finish_search` may still change the result. A keyboard interrupt ends both with the models found so far.
     """
     baseline = calibration.baseline
     outcome = Outcome(calibration, (baseline,), {set_of(baseline): baseline}, {}, warnings=calibration.warnings)
 
     def extend(path: list[Fit]) -> None:
         if before is not None and before.best.model.names != baseline.model.names:
-            _remember(outcome.tried, _fitted_again(baseline, before))
+            _remember(outcome.tried, _refit_previous(baseline, before))
             again = outcome.tried.get(set_of(before.best))
             if again is not None and calibration.judge.accepts(again, baseline):
-                outcome.alone.update({found[0].model.names[-1]: found[0].gain for found in calibration.screened})
+                outcome.alone.update({starts[0].model.names[-1]: starts[0].gain for starts in calibration.screened})
                 path.append(again)
         _extend(outcome, path, progress, most)
 
     return until_interrupted(outcome, extend)
 
 
-def _fitted_again(baseline: Fit, before: Outcome) -> list[Fit]:
-    """What a search ``before`` found, and what it tried next to that, fitted under the noise of ``baseline``.
+def _refit_previous(baseline: Fit, before: Outcome) -> list[Fit]:
+    """The best model of a search ``before``, and its neighbours, fitted under the noise of ``baseline``.
 
-    Next to it are the models on the way, each effect alone, and another effect in the place of one.
+    Neighbours are the models on the path, each effect alone, and the best model with one effect exchanged.
     """
     names, first = set_of(before.best), len(set_of(baseline))
     near = [
@@ -150,16 +147,16 @@ def _fitted_again(baseline: Fit, before: Outcome) -> list[Fit]:
         if len(key) == first + 1 or key < names or (len(key) == len(names) == len(key & names) + 1)
     ]
     best = converged(fit(baseline.with_model(before.best.model)))
-    return [best, *filter(admissible, side_by_side(fit, [(baseline.with_model(one.model),) for one in near]))]
+    return [best, *filter(admissible, side_by_side(fit, [(baseline.with_model(fitted.model),) for fitted in near]))]
 
 
-def finished(outcome: Outcome, progress: Progress, most: int = MOST_EFFECTS) -> Outcome:
-    """A search that was :func:`begun`, gone on with up to ``most`` effects until nothing is accepted any more."""
+def finish_search(outcome: Outcome, progress: Progress, most: int = MOST_EFFECTS) -> Outcome:
+    """Continue a search of :func:`begin_search`, with up to ``most`` effects, until nothing more is accepted."""
     if outcome.interrupted:
         return outcome
 
     def to_the_end(path: list[Fit]) -> None:
-        if _found(outcome.calibration, path[-1]) >= A_FEW:
+        if _effect_count(outcome.calibration, path[-1]) >= A_FEW:
             _extend(outcome, path, progress, most)
         _go_on(outcome, path, progress, most)
         path[-1] = freed(path[-1])
@@ -169,13 +166,13 @@ def finished(outcome: Outcome, progress: Progress, most: int = MOST_EFFECTS) -> 
 
 
 def with_before(outcome: Outcome, before: Candidate | None) -> Outcome:
-    """``outcome`` gone back to the model found ``before``, under other noise, where that leaves less."""
-    better = _found_before(before, outcome.best, outcome.tried)
+    """``outcome`` with the model ``before``, of a search under other noise, as its best where that leaves less."""
+    better = _previous_model(before, outcome.best, outcome.tried)
     return outcome if better is None else replace(outcome, path=(*outcome.path, better))
 
 
 def until_interrupted(outcome: Outcome, goes_on: Callable[[list[Fit]], None]) -> Outcome:
-    """``outcome`` with its path as far as ``goes_on`` took it before an interrupt from the keyboard."""
+    """``outcome`` with its path as ``goes_on`` extends it, up to a keyboard interrupt."""
     path, warnings, interrupted = list(outcome.path), outcome.warnings, False
     try:
         goes_on(path)
@@ -188,16 +185,16 @@ def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, most: int) -> 
     """Prune the last model of ``path``, exchange its effects and extend it again, until nothing leaves less."""
     calibration, tried = outcome.calibration, outcome.tried
     known, accepts = calibration.baseline.model.names, calibration.judge.accepts
-    gone_on: dict[Step, float] = {}  # from one set to another, and its cost there
+    step_costs: dict[Step, float] = {}  # cost that each step has led to
     for _ in range(PASSES):
         path += pruned(path[-1], known, tried, accepts)
         better = (
-            _exchanged(calibration, path[-1], tried, progress)
+            _exchange(calibration, path[-1], tried, progress)
             or _pair(calibration, path[-1], tried, progress)
             or _far_behind(calibration, path[-1], tried, progress)
             or _curve(calibration, path[-1], tried, progress, most)
         )
-        if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), gone_on):
+        if better is None or not _pays_again(better, (set_of(path[-1]), set_of(better)), step_costs):
             break
         path.append(better)
         _extend(outcome, path, progress, most)
@@ -208,14 +205,14 @@ def _go_on(outcome: Outcome, path: list[Fit], progress: Progress, most: int) -> 
 def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) -> None:
     """Add up to ``most`` effects to the last model of ``path`` while one is accepted.
 
-    What was fitted on the way is added to ``tried``, what each effect gained in the very first round to ``alone``.
+    All fits are added to ``tried``, the gain of each effect in the first round to ``alone``.
     """
     calibration, tried, beam = outcome.calibration, outcome.tried, path[-1:]
     baseline, accept = calibration.baseline, calibration.judge.accepts
     noise, library = baseline.problem.samples("used"), _library(calibration, general=False)
-    if not _found(calibration, path[-1]):
-        beam = [*beam, *_as_given(path[-1])]
-    while (number := 1 + _found(calibration, path[-1])) <= most:
+    if not _effect_count(calibration, path[-1]):
+        beam = [*beam, *_axis_baselines(path[-1])]
+    while (number := 1 + _effect_count(calibration, path[-1])) <= most:
         explained = baseline.cost - path[-1].cost
         if number > rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
             break
@@ -228,45 +225,45 @@ def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) ->
             break
         gain = baseline.cost - ranked[0].cost
         others = ranked[1 : BEAM[min(number, len(BEAM)) - 1]]
-        # The best is kept even where it leaves more bursts than the baseline, which hardly count in what is accepted.
+        # The best is kept even where it leaves more bursts than the baseline: acceptance hardly counts bursts.
         leading = [ranked[0], *(f for f in others if baseline.cost - f.cost >= rules.RIVAL * gain)]
         beam = sorted(side_by_side(converged, [(f,) for f in leading]), key=lambda f: f.criterion)
         _remember(tried, beam)
         path.append(beam[0])
         if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
-            beam = beam[:1]  # what is to be found on top of another set would have to leave less than noise
+            beam = beam[:1]  # an effect added to another set would have to leave less than noise
 
 
-def _as_given(fitted: Fit) -> list[Fit]:
-    """The baseline ``fitted`` with the axis file's numbers, where what is missing may have bent the fitted ones."""
-    return [given for given in map(evaluate, either_baseline(fitted)[1:]) if given.innovations]
+def _axis_baselines(fitted: Fit) -> list[Fit]:
+    """``fitted`` with the axis file's baseline, where missing physics may have bent the fitted one; else empty."""
+    return [alternative for alternative in map(evaluate, either_baseline(fitted)[1:]) if alternative.innovations]
 
 
-def _found_before(before: Candidate | None, current: Fit, tried: FitsBySet) -> Fit | None:
-    """The model found ``before``, fitted under this noise, where it leaves less than ``current``."""
+def _previous_model(before: Candidate | None, current: Fit, tried: FitsBySet) -> Fit | None:
+    """The model ``before`` fitted under this noise, where it leaves less than ``current``; else None."""
     if before is None or before.names in ((), current.model.names):
         return None
-    found = converged(fit(current.with_model(before)))
-    if not admissible(found):
+    refit = converged(fit(current.with_model(before)))
+    if not admissible(refit):
         return None
-    _remember(tried, [found])
-    return found if found.cost < (1 - rules.STILL_PAYS) * current.cost else None
+    _remember(tried, [refit])
+    return refit if refit.cost < (1 - rules.STILL_PAYS) * current.cost else None
 
 
 def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
-    """``current`` with an effect that gains little beside the best ones, which may be stand-ins: none was accepted."""
-    number, names = 1 + _found(calibration, current), set_of(current)
+    """``current`` with a low-ranked effect: where none of the best is accepted, those may compensate for others."""
+    number, names = 1 + _effect_count(calibration, current), set_of(current)
     if number > rules.CREDIBLE or not calibration.judge.leaves_structure(current):
         return None
-    rest = tuple(one for one in _library(calibration, general=False) if names | {one.name} not in tried)
+    rest = tuple(effect for effect in _library(calibration, general=False) if names | {effect.name} not in tried)
     sound, _ = _round(calibration, [current], number, rest, progress, rules.FAR_BEHIND)
     _remember(tried, sound.values())
     return _best_accepted(calibration, current, sound)
 
 
 def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress, most: int) -> Fit | None:
-    """``current`` with a curve of any shape, which no single effect of the library explains, where that is accepted."""
-    number = 1 + _found(calibration, current)
+    """``current`` with a general curve, where that is accepted; else None."""
+    number = 1 + _effect_count(calibration, current)
     if number > most:
         return None
     sound, _ = _round(calibration, [current], number, _library(calibration, general=True), progress)
@@ -275,19 +272,20 @@ def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: P
 
 
 def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
-    """The baseline with two effects, where nothing was found and that is accepted.
+    """The baseline with two effects, where no single one was accepted and the pair is; else None.
 
-    From the best few that gain what a finding must be worth: beside much that is missing it is not seen everywhere.
+    Starts from the best few single effects with enough gain: an effect may show on too few strokes while another is
+    missing.
     """
     judge, names = calibration.judge, set_of(current)
-    if _found(calibration, current) or not judge.leaves_structure(current):
+    if _effect_count(calibration, current) or not judge.leaves_structure(current):
         return None
     worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
     alone = [f for key, f in tried.items() if len(key) == len(names) + 1 and not f.model.effects[-1].general]
-    begun = sorted((f for f in alone if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
-    if not begun:
+    leading = sorted((f for f in alone if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
+    if not leading:
         return None
-    pairs, _ = _round(calibration, begun, 2, _library(calibration, general=False), progress)
+    pairs, _ = _round(calibration, leading, 2, _library(calibration, general=False), progress)
     _remember(tried, pairs.values())
     return _best_accepted(calibration, current, pairs)
 
@@ -301,40 +299,40 @@ def _library(calibration: Calibration, *, general: bool) -> tuple[Effect, ...]:
     return tuple(effect for effect in calibration.preparation.library if effect.general is general)
 
 
-def _found(calibration: Calibration, fitted: Fit) -> int:
-    """How many effects ``fitted`` has beside what is known from the controller's law."""
+def _effect_count(calibration: Calibration, fitted: Fit) -> int:
+    """Number of effects of ``fitted``, without those known from the controller's law."""
     return len(fitted.model.effects) - len(calibration.baseline.model.effects)
 
 
-def _exchanged(calibration: Calibration, best: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
-    """``best`` with another effect, or another shape, in the place of one, where that leaves clearly less.
+def _exchange(calibration: Calibration, best: Fit, tried: FitsBySet, progress: Progress) -> Fit | None:
+    """``best`` with one effect exchanged, or in another shape, where that leaves clearly less; else None.
 
-    Looked for in company only, where what was found first was fitted while the rest was missing; of two effects only
-    where structure is left.
+    Only for two effects or more, because the first was fitted while the rest was missing; for two only where structure
+    is left.
     """
-    known, judge, found = calibration.baseline.model.names, calibration.judge, _found(calibration, best)
-    if not 2 <= found <= rules.CREDIBLE or (found == 2 and judge.at_floor(best)):
+    known, judge, count = calibration.baseline.model.names, calibration.judge, _effect_count(calibration, best)
+    if not 2 <= count <= rules.CREDIBLE or (count == 2 and judge.at_floor(best)):
         return None
     progress("each effect anew beside the others", 0.95)
     others = exchanges(best, known, calibration.preparation.library)
     _remember(tried, others)
-    # Beside play that bounces, the bursts of a few impacts are as large as what another effect would be worth.
+    # With play that bounces, the bursts of a few impacts are as large as the gain of an exchange.
     cost = bounded_cost if any(map(has_play, best.model.effects)) else lambda f: f.cost
     least = min(others, key=cost, default=best)
     pays = cost(best) - cost(least) > max(judge.healthy.threshold, rules.STILL_PAYS * cost(best))
     return converged(least) if pays else None
 
 
-def _pays_again(better: Fit, step: Step, gone_on: dict[Step, float]) -> bool:
-    """Whether to go on by a ``step`` from one set to another: the same one twice only if ``better`` leaves less now."""
-    pays = better.cost < (1 - rules.STILL_PAYS) * gone_on.get(step, math.inf)
+def _pays_again(better: Fit, step: Step, step_costs: dict[Step, float]) -> bool:
+    """Whether to take a ``step`` from one set to another; a second time only if ``better`` leaves less than before."""
+    pays = better.cost < (1 - rules.STILL_PAYS) * step_costs.get(step, math.inf)
     if pays:
-        gone_on[step] = better.cost
+        step_costs[step] = better.cost
     return pays
 
 
 def _remember(tried: FitsBySet, fits: Iterable[Fit]) -> None:
-    """Keep in ``tried`` the best fit of each set."""
+    """Keep the best fit of each set of effects in ``tried``."""
     for fitted in fits:
         key = set_of(fitted)
         if key not in tried or fitted.cost < tried[key].cost:
@@ -349,10 +347,10 @@ def _round(
     progress: Progress,
     rival: float = rules.RIVAL,
 ) -> tuple[FitsBySet, dict[str, float]]:
-    """The best admissible fit of each set that has one effect of ``library`` more than a set of ``beam``.
+    """The best admissible fit of each set with one effect of ``library`` more than a model of ``beam``.
 
-    Of those whose short fit gains ``rival`` of what the best one gains. Also returns what each
-    effect gained alone on top of the first of them [whitened cost].
+    Only effects whose short fit gains the share ``rival`` of the best gain are fitted. Also returns the gain of each
+    effect alone on top of the first model [whitened cost].
     """
     names = " + ".join(beam[0].model.names) or "the baseline"
     curves = ", as a curve" if any(effect.general for effect in library) else ""
@@ -361,13 +359,13 @@ def _round(
     def tries(member: Fit) -> tuple[list[Fit], dict[str, float]]:
         if member is not calibration.baseline:
             return extended(member, library, rival)
-        screened = [found for found in calibration.screened if found[0].model.effects[-1] in library]
+        screened = [starts for starts in calibration.screened if starts[0].model.effects[-1] in library]
         return extensions(member, screened, tangent(member), rival)
 
-    found = side_by_side(tries, [(member,) for member in beam])
+    attempts = side_by_side(tries, [(member,) for member in beam])
     pool: FitsBySet = {}
-    _remember(pool, (one for fits, _ in found for one in fits))
-    alone: dict[str, float] = next((gains for _, gains in found if gains), {})
+    _remember(pool, (fitted for fits, _ in attempts for fitted in fits))
+    alone: dict[str, float] = next((gains for _, gains in attempts if gains), {})
     return {key: fitted for key, fitted in pool.items() if admissible(fitted)}, alone
 
 
@@ -378,19 +376,19 @@ def _ranked(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:
 
 
 def _late(current: Fit, sound: FitsBySet, accept: Accept) -> list[Fit]:
-    """The best of ``sound``, if it is accepted once it has converged: an instant may have been a stroke off."""
+    """The best of ``sound`` alone, where it is accepted once converged: an instant may have been a stroke off."""
     best = min(sound.values(), key=lambda f: f.cost, default=None)
-    left = current.cost - current.problem.samples("used")
-    if best is None or left <= 0 or current.cost - best.cost < rules.RIVAL * left:
+    excess = current.cost - current.problem.samples("used")
+    if best is None or excess <= 0 or current.cost - best.cost < rules.RIVAL * excess:
         return []
     further = converged(best)
     return [further] if accept(further, current) else []
 
 
 def _rivals(path: list[Fit], tried: FitsBySet) -> list[Fit]:
-    """Models with another effect in the place of one of the best model's that come close, fitted to convergence too.
+    """The models of ``tried`` with one effect of the best model exchanged that come close, fitted to convergence.
 
-    Else the effect found first would win by having been fitted longer.
+    Otherwise the best model would win only because it was fitted longer.
     """
     best, names = path[-1], set_of(path[-1])
     close = []
@@ -404,77 +402,77 @@ def _rivals(path: list[Fit], tried: FitsBySet) -> list[Fit]:
 
 
 def search_or_kind(calibration: Calibration, progress: Progress, before: Outcome | None = None) -> Outcome:
-    """A search, stopped at an unknown force of one kind that explains what a few effects leave.
+    """Search, and stop at an unknown force of one kind that explains what a few effects leave.
 
-    What a search found ``before``, under other noise, is tried as well, beside such a force too.
+    The model of a search ``before``, under other noise, is tried as well, also beside such a force.
 
-    Looked for where there are data to confirm it, beside the baseline and beside the effect found first: a motor at its
-    limit, or a stop, hides of which kind the rest is.
+    The force is looked for where data confirm it, beside the baseline and beside the first effect: a motor at its
+    limit, or an end stop, hides the kind of the rest.
     """
-    outcome, found = begun(calibration, progress, A_FEW, before), list[OfAKind]()
+    outcome, forces = begin_search(calibration, progress, A_FEW, before), list[OfAKind]()
 
     def look(path: list[Fit]) -> None:
         progress("whether it is an unknown force of one kind", 0.6)
-        found.extend(_of_a_kind(calibration, path, before.of_a_kind if before else None))
+        forces.extend(_of_a_kind(calibration, path, before.of_a_kind if before else None))
 
     confirmed = calibration.preparation.held_out is not None
     if confirmed and not outcome.interrupted and calibration.judge.leaves_structure(outcome.best):
-        outcome = replace(until_interrupted(outcome, look), of_a_kind=found[0] if found else None)
-    return finished(outcome, progress) if outcome.of_a_kind is None else outcome
+        outcome = replace(until_interrupted(outcome, look), of_a_kind=forces[0] if forces else None)
+    return finish_search(outcome, progress) if outcome.of_a_kind is None else outcome
 
 
 def past_the_kind(outcome: Outcome, progress: Progress) -> Outcome:
-    """A search that was stopped at an unknown force, gone on with unless the force is plain: that ends it early."""
-    return finished(outcome, progress) if outcome.stopped else outcome
+    """Finish a search that stopped at an unknown force, unless the force is plain and ends the search."""
+    return finish_search(outcome, progress) if outcome.stopped else outcome
 
 
 def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
-    """Search again from ``start``, the baseline of ``calibration`` where an unknown force explains nothing.
+    """Search again from ``start``, the baseline of ``calibration`` judged beside an unknown force.
 
-    As any smooth function of the state it could follow most friction too; what happens at an instant, drifts, delays or
-    repeats along the travel it cannot. A curve of any shape is one of them, and is not looked for.
+    Such a force, any smooth function of the state, explains most friction too, but no event, drift, delay or ripple
+    along the travel. A general curve is such a function itself, and is not a candidate.
     """
-    return _finished_beside(_begun_beside(calibration, start))
+    return _finish_beside(_begin_beside(calibration, start))
 
 
-def _begun_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
-    """The search beside an unknown force up to as many effects as it takes pains with."""
+def _begin_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
+    """The search beside an unknown force, with up to ``rules.CREDIBLE`` effects."""
     first = calibration.preparation
     library = tuple(effect for effect in first.library if not effect.general and not effect.element)
     preparation = replace(first, start=start, library=library)
-    return begun(calibrate(preparation, start, calibration.floor, 0, 0, no_progress), no_progress, rules.CREDIBLE)
+    return begin_search(calibrate(preparation, start, calibration.floor, 0, 0, no_progress), no_progress, rules.CREDIBLE)
 
 
-def _finished_beside(outcome: Outcome) -> Outcome:
-    """The search beside an unknown force to its end: more effects than it takes pains with would stand in for it."""
-    return finished(outcome, no_progress, most=rules.CREDIBLE)
+def _finish_beside(outcome: Outcome) -> Outcome:
+    """Finish the search beside an unknown force; more effects than credible would only imitate the force."""
+    return finish_search(outcome, no_progress, most=rules.CREDIBLE)
 
 
 def _of_a_kind(calibration: Calibration, path: list[Fit], before: OfAKind | None) -> list[OfAKind]:
-    """The first kind of force that leaves next to nothing beside a start of ``path`` and what is found beside it.
+    """The first kind of force that, with the effects found beside it, leaves next to nothing; at most one.
 
-    Or what was found beside one ``before``, where that leaves less. Else nothing, and nothing either where the effects
-    of ``path`` alone leave less; a search that leaves structure beside the force is not gone on with. An interrupt goes
-    on to the search that asks.
+    Searched from the first models of ``path``, and with the model ``before`` where that leaves less. Empty where there
+    is none, or where the effects of ``path`` alone leave less. A search that leaves structure beside the force is not
+    finished. A keyboard interrupt is raised again.
     """
     for kind, start, beside in _kinds_beside(path[:STARTS]):
         with suppress(SimulationError):
             problem = in_turn(beside, kind)[-1].problem
-            again = _begun_beside(calibration, Hypothesis(problem, calibration.baseline.model))
+            again = _begin_beside(calibration, Hypothesis(problem, calibration.baseline.model))
             if before is not None and not again.interrupted:
-                again = with_before(again, before.found.model)
+                again = with_before(again, before.fitted.model)
             if not again.calibration.judge.leaves_structure(again.best):
-                again = _finished_beside(again)
+                again = _finish_beside(again)
             if again.interrupted:
                 raise KeyboardInterrupt
-            found = in_turn(again.calibration.judge.refitted(again.best), kind)[-1]
-            if next_to_nothing(start, found) and found.excess() < path[-1].excess():
-                return [OfAKind(kind, start, again, found)]
+            fitted = in_turn(again.calibration.judge.refitted(again.best), kind)[-1]
+            if next_to_nothing(start, fitted) and fitted.excess() < path[-1].excess():
+                return [OfAKind(kind, start, again, fitted)]
     return []
 
 
 def in_turn(fitted: Fit, kind: Kind) -> list[Fit]:
-    """Fits of the model of ``fitted`` to all that may be used, each with the force in the loop that the last one left.
+    """Fits of the model to all used samples, each with the unknown force of the one before in the loop.
 
     Raises :class:`SimulationError` where the model does not run with it.
     """
@@ -486,14 +484,14 @@ def in_turn(fitted: Fit, kind: Kind) -> list[Fit]:
 
 
 def acting(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
-    """``hypothesis`` with an unknown force in the loop, found again with that. Raises as :func:`in_turn`."""
+    """``hypothesis`` with an unknown force in the loop, estimated in turns. Raises as :func:`in_turn`."""
     for _ in range(IN_TURN):
         hypothesis = with_kind(hypothesis, kind)
     return hypothesis
 
 
 def next_to_nothing(before: Hypothesis, after: Hypothesis) -> bool:
-    """Whether ``after`` leaves nothing but noise, or next to nothing of the gap of ``before``."""
+    """Whether ``after`` leaves only noise, or a negligible part of the excess of ``before``."""
     return only_noise(after, rules.STRUCTURED) or after.excess() <= (1.0 - rules.COMPLETE) * before.excess()
 
 
@@ -503,36 +501,38 @@ def only_noise(hypothesis: Hypothesis, most: float) -> bool:
 
 
 def _kinds_beside(starts: list[Fit]) -> list[tuple[Kind, Fit, Fit]]:
-    """The kinds of force that are a good part of what one of ``starts`` leaves, that start, and the fit beside them.
+    """Kinds of force that explain a good part of what one of ``starts`` leaves: kind, start, fit beside the kind.
 
-    The one that leaves least first, after those that are part of it; beside a later start only what leaves clearly less
-    than all others, as it may itself stand in for the force.
+    The kind that leaves least comes first, but after kinds that are part of it. A later start must leave clearly less,
+    because its effect may itself imitate the force.
     """
-    found = []
+    by_cost = []
     for place, start in enumerate(starts):
         for related in KINDS:
-            fits = [(kind, start, one) for degrees in related for kind, one in _of_few_columns(start, degrees)]
-            good = [one for one in fits if one[-1].excess() <= (1.0 - rules.OF_A_KIND) * start.excess()]
+            fits = [(kind, start, fitted) for degrees in related for kind, fitted in _of_few_columns(start, degrees)]
+            good = [
+                candidate for candidate in fits if candidate[-1].excess() <= (1.0 - rules.OF_A_KIND) * start.excess()
+            ]
             if good:
-                found.append((min(one.cost for *_, one in good) / rules.SHARPER**place, good))
-    return [one for _, good in sorted(found, key=lambda ranked: ranked[0]) for one in good]
+                by_cost.append((min(fitted.cost for *_, fitted in good) / rules.SHARPER**place, good))
+    return [candidate for _, good in sorted(by_cost, key=lambda ranked: ranked[0]) for candidate in good]
 
 
 def _of_few_columns(start: Fit, degrees: tuple[Kind, ...]) -> list[tuple[Kind, Fit]]:
-    """The first of ``degrees`` beside which ``start`` runs, and the fit; none where there is none.
+    """The kind of the lowest degree beside which ``start`` runs, and the fit; empty where there is none.
 
-    With more columns where these leave clearly less: else they would only take the part of something known.
+    A higher degree only where it leaves clearly less: otherwise it would take the part of known effects.
     """
-    fits = [(kind, one) for kind in degrees for one in _fitted_beside(start, kind)]
+    fits = [(kind, fitted) for kind in degrees for fitted in _fitted_beside(start, kind)]
     best = fits[:1]
-    for kind, one in fits[1:]:
-        if one.excess() < rules.SHARPER * best[0][1].excess():
-            best = [(kind, one)]
+    for kind, fitted in fits[1:]:
+        if fitted.excess() < rules.SHARPER * best[0][1].excess():
+            best = [(kind, fitted)]
     return best
 
 
 def _fitted_beside(start: Fit, kind: Kind) -> list[Fit]:
-    """``start`` fitted beside an unknown force in the loop; nothing where it does not run with one."""
+    """``start`` fitted beside an unknown force in the loop; empty where it cannot be simulated with one."""
     with suppress(SimulationError):
         return [fit(with_kind(fit(beside_kind(start, kind)), kind))]
     return []

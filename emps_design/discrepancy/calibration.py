@@ -1,19 +1,14 @@
-"""The second stage: the fitted baseline, the noise it is judged by, and what chance alone would gain.
+"""The second stage: the fitted baseline, the noise it is judged by, and the gain that chance alone reaches.
 
-Noise where no reference repeats: what a stroke does that a regression on the other strokes does not predict.
+Where no reference repeats, the noise is what a regression on the other strokes does not predict of a stroke. Its
+columns are the changes in force by the baseline's numbers and, where they help, by the starts of each effect and by
+smooth functions of the simulated state and its past. It is fitted without one stroke and judged on that stroke, in
+turn, so that it cannot fit noise. The remainder is the noise and the structure that no column follows: far less than
+the residual of the baseline alone.
 
-The changes that the baseline's own numbers make in the force are the columns of a ridge regression; the changes that
-the starts of an effect make, and smooth functions of the simulated state and its past, join it where that pays. It is
-fitted without one stroke and judged on that stroke, in turn, so that no noise is explained by having been seen. What is
-left holds the noise, and the structure that none of this follows: far less than the residual of the baseline alone.
-
-The healthy reference by brute force: simulated healthy records, each searched like the real one.
-
-:mod:`~emps_design.discrepancy.acceptance` lays signatures over resampled noise, which takes no time and
-leaves out that proposals, too, adapt to the noise. Here the fitted baseline is simulated, resampled noise is laid over
-its voltage, and baseline fit, proposals, screening and fits run as on the record itself: one search per record.
-
-What a search found, on what it was judged by, and what it tried besides.
+The healthy reference may be simulated: :mod:`~emps_design.discrepancy.acceptance` projects resampled noise onto
+signatures, which is fast and ignores that proposals, too, adapt to the noise. :func:`healthy_runs` simulates the fitted
+baseline with resampled noise on its voltage, and searches each of these records like the measured one.
 """
 
 from __future__ import annotations
@@ -35,15 +30,15 @@ from emps_design.discrepancy.noise_floor import STROKES, Floor, floor_of_laps, f
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.preparation import Preparation
 from emps_design.discrepancy.problem import Hypothesis, of_unit_length
-from emps_design.discrepancy.starts import Start, by_signature, screen, tangent, told
+from emps_design.discrepancy.starts import Start, by_signature, screen, suspects_text, tangent
 from emps_design.discrepancy.unknown_force import Kind, states_of
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
 from emps_design.progress import Progress
 from emps_design.simulation import Plant
 
-RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on strokes not seen
-MOST_SAMPLES, MOST_STROKES = 60_000, 100  # of whole strokes, evenly taken where there are more
+RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on held-out strokes
+MOST_SAMPLES, MOST_STROKES = 60_000, 100  # of whole strokes, evenly thinned where there are more
 
 BASELINE_STEPS = 20  # of the baseline's fit, which starts from the axis file
 
@@ -51,7 +46,7 @@ FitsBySet = dict[frozenset[str], Fit]
 
 
 def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
-    """Force [N] of the used samples that the other strokes do not predict of each, one array per record.
+    """Force [N] of the used samples that the other strokes do not predict, (n_used,) per record.
 
     ``fitted`` is the baseline, judged without whitening: its innovations are forces.
     """
@@ -61,9 +56,9 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
     adjusted = tangent(fitted, "used")
     base = adjusted.whole[kept]
 
-    def changes(found: list[Start]) -> np.ndarray:
+    def changes(starts: list[Start]) -> np.ndarray:
         columns = [np.empty((base.size, 0))]
-        for start in found:
+        for start in starts:
             with suppress(SimulationError):
                 columns.append(of_unit_length((start.hypothesis.residual("used")[kept] - base)[:, None]))
         return np.column_stack(columns)
@@ -72,25 +67,27 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
         return of_unit_length(problem.gather(states_of(fitted), "used")[kept])
 
     screened = screen(fitted, library, tangent(fitted))
-    groups = side_by_side(lambda group: group(), [(smooth,), *((partial(changes, found),) for found in screened)])
+    groups = side_by_side(lambda group: group(), [(smooth,), *((partial(changes, starts),) for starts in screened)])
     edges = np.cumsum([0, *(stroke.stop - stroke.start for stroke in rows)])
     strokes = [slice(start, stop) for start, stop in pairwise(edges)]
-    left = _left_by_others(of_unit_length(adjusted.basis[kept]), groups, base, strokes)
+    residual = _unpredicted_by_others(of_unit_length(adjusted.basis[kept]), groups, base, strokes)
     records = np.cumsum([split.used.sum() for split in problem.splits])
-    return tuple(part for part in np.split(left, np.searchsorted(kept, records[:-1])) if part.size)
+    return tuple(part for part in np.split(residual, np.searchsorted(kept, records[:-1])) if part.size)
 
 
 def _evenly(strokes: list[slice]) -> list[slice]:
-    """Every so many of ``strokes``, so that the regression of a long record stays small."""
+    """``strokes`` thinned evenly, so that the regression of a long record stays small."""
     samples = sum(stroke.stop - stroke.start for stroke in strokes)
     return strokes[:: max(1, -(-samples // MOST_SAMPLES), -(-len(strokes) // MOST_STROKES))]
 
 
-def _left_by_others(known: np.ndarray, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]) -> np.ndarray:
-    """``force`` (n,) less what columns predict of each stroke from all others.
+def _unpredicted_by_others(
+    known: np.ndarray, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]
+) -> np.ndarray:
+    """``force`` (n,) [N] less the prediction of each stroke from all others.
 
-    The columns (n, k) are those ``known`` and of the ``groups``, one after the other, the one that leaves least, as
-    long as it shows that what was left was no noise.
+    The columns (n, k) are ``known`` and, group by group, those of ``groups``: each time the group that leaves least,
+    as long as it reduces the residual clearly.
     """
     regression = _Regression([known, *groups], force, strokes)
     edges = np.cumsum([0, known.shape[1], *(group.shape[1] for group in groups)])
@@ -103,11 +100,11 @@ def _left_by_others(known: np.ndarray, groups: list[np.ndarray], force: np.ndarr
             break
         best = trials[place]
         del others[place]
-    return regression.left(best)
+    return regression.residual(best)
 
 
 class _Predictor(NamedTuple):
-    """Some ``columns``, by place, with the ``ridge`` that leaves the least ``squares`` of strokes not seen."""
+    """Indices of ``columns``, with the ``ridge`` of the least sum of ``squares`` on held-out strokes."""
 
     columns: np.ndarray
     ridge: float
@@ -115,19 +112,19 @@ class _Predictor(NamedTuple):
 
 
 class _Regression:
-    """Of a force (n,) on ``groups`` of columns (n, k), fitted without each of the strokes and judged on it.
+    """Leave-one-stroke-out regression of a force (n,) on ``groups`` of columns (n, k).
 
-    By sums of products along each stroke.
+    Computed from the sums of products of each stroke.
     """
 
     def __init__(self, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]) -> None:
         self.groups, self.force, self.strokes = groups, force, strokes
         sums = side_by_side(self._sums, [(stroke,) for stroke in strokes])
-        self.squares, self.products = (np.array(one) for one in zip(*sums, strict=True))
+        self.squares, self.products = (np.array(part) for part in zip(*sums, strict=True))
         self.power = float(force @ force)
 
     def best(self, columns: np.ndarray) -> _Predictor:
-        """``columns`` with the best of the ridges."""
+        """``columns`` with the best of ``RIDGES``."""
         own, along = self.squares[:, columns[:, None], columns], self.products[:, columns]
         costs = []
         for ridge in RIDGES:
@@ -136,13 +133,13 @@ class _Regression:
         least = int(np.argmin(costs))
         return _Predictor(columns, RIDGES[least], costs[least])
 
-    def left(self, found: _Predictor) -> np.ndarray:
-        """Force (n,) [N] that ``found`` does not predict."""
-        own, along = self.squares[:, found.columns[:, None], found.columns], self.products[:, found.columns]
-        coefficients = self._coefficients(own, along, found.ridge)
+    def residual(self, predictor: _Predictor) -> np.ndarray:
+        """Force (n,) [N] that ``predictor`` does not predict."""
+        own, along = self.squares[:, predictor.columns[:, None], predictor.columns], self.products[:, predictor.columns]
+        coefficients = self._coefficients(own, along, predictor.ridge)
 
         def along_one(stroke: slice, x: np.ndarray) -> np.ndarray:
-            return self.force[stroke] - self._columns(stroke)[:, found.columns] @ x
+            return self.force[stroke] - self._columns(stroke)[:, predictor.columns] @ x
 
         return np.concatenate(side_by_side(along_one, zip(self.strokes, coefficients, strict=True)))
 
@@ -157,7 +154,7 @@ class _Regression:
 
     @staticmethod
     def _coefficients(own: np.ndarray, along: np.ndarray, ridge: float) -> np.ndarray:
-        """Those fitted to all strokes but one, (strokes, k)."""
+        """Coefficients (strokes, k) fitted to all strokes but one."""
         square = own.sum(axis=0)
         keep = ridge * np.trace(square) / len(square) * np.eye(len(square))
         return np.linalg.solve(square - own + keep, (along.sum(axis=0) - along)[:, :, None])[:, :, 0]
@@ -176,14 +173,14 @@ def healthy_runs(
     for i in range(runs):
         alone = fit(_healthy_records(baseline, floor, generator))
         absorbed = tangent(alone)
-        found, gains = extensions(alone, screen(alone, library, absorbed), absorbed)
-        largest[i] = max([0.0, *gains.values(), *(alone.cost_fit - f.cost_fit for f in found)])
+        fits, gains = extensions(alone, screen(alone, library, absorbed), absorbed)
+        largest[i] = max([0.0, *gains.values(), *(alone.cost_fit - f.cost_fit for f in fits)])
         progress(0.1 * (i + 1) / runs)
     return Healthy(np.sort(largest), searched=True)
 
 
 def _healthy_records(baseline: Fit, floor: Floor, generator: np.random.Generator) -> Hypothesis:
-    """The baseline, and what it would have recorded with resampled noise over its voltage."""
+    """The baseline on records simulated with it, with resampled noise on the voltage."""
     gain, records = baseline.problem.axis.drive.gain, []
     for record, run in zip(baseline.problem.records, baseline.runs(), strict=True):
         noise = floor.whitening.undo(
@@ -206,29 +203,29 @@ class Calibration:
 
     @property
     def judge(self) -> Judge:
-        """What accepts a finding under this noise and this chance."""
+        """The judge of findings under this noise and healthy reference."""
         return Judge(self.floor, self.healthy)
 
 
 def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
-    """Fit the baseline by plain least squares, and take the noise from what it leaves: of laps, or of other strokes."""
+    """Fit the baseline by plain least squares, and read the noise from its residual: by laps, or by other strokes."""
     # Kernels are compiled here: simulations run side by side from now on, and must not compile the same one twice.
     effects = [(effect, np.zeros(len(effect.parameters))) for effect in preparation.library]
     Plant(preparation.start.problem.axis, effects)
     rough = fit(preparation.start, steps=BASELINE_STEPS)
     floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
     if floor is None:
-        left = unpredicted(rough, preparation.library)
-        floor = floor_of_residual(left, rough.problem.period, STROKES)
+        residuals = unpredicted(rough, preparation.library)
+        floor = floor_of_residual(residuals, rough.problem.period, STROKES)
     return rough, floor
 
 
 def calibrate(
     preparation: Preparation, start: Hypothesis, floor: Floor, seed: int, runs: int, progress: Progress
 ) -> Calibration:
-    """Fit the baseline from ``start`` under the noise of ``floor``; see what chance gains, on ``runs`` healthy records.
+    """Fit the baseline from ``start`` under the noise of ``floor``, and compute the healthy reference.
 
-    With 0 ``runs`` chance is a linearisation: signatures over resampled noise.
+    The reference is simulated on ``runs`` healthy records; with 0 it is linearised: resampled noise on signatures.
     """
     progress("healthy reference", 0.0)
     weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
@@ -236,7 +233,7 @@ def calibrate(
     warnings: tuple[str, ...] = ()
     absorbed = tangent(baseline)
     screened = screen(baseline, preparation.library, absorbed)
-    progress(f"healthy reference{told(by_signature(screened, absorbed))}", 0.05)
+    progress(f"healthy reference{suspects_text(by_signature(screened, absorbed))}", 0.05)
     healthy = healthy_reference(screened, floor.draws, seed)
     if runs:
         try:
@@ -256,10 +253,10 @@ def set_of(fitted: Fit) -> frozenset[str]:
 class Outcome:
     """The ``path`` of best models, baseline first, found under a ``calibration``.
 
-    ``tried`` are all admissible models fitted in full, by their sets of effects; ``alone`` is what each effect gained
+    ``tried`` are all admissible models fitted in full, by their sets of effects; ``alone`` is the gain of each effect
     alone in the first round [whitened cost]; ``interrupted``: by the user, before the search had ended; ``warnings``
-    are those of this search and of the ones that it took the place of; ``of_a_kind`` is an unknown force that explains
-    what a few effects leave, where there is one.
+    are those of this search and of the searches it replaced; ``of_a_kind`` is an unknown force that explains what a
+    few effects leave, or None.
     """
 
     calibration: Calibration
@@ -277,12 +274,12 @@ class Outcome:
 
     @property
     def ended_early(self) -> bool:
-        """Whether it was not gone on with, for an unknown force that explains what a few effects leave."""
+        """Whether the search ended at an unknown force that explains what a few effects leave."""
         return self.of_a_kind is not None and self.of_a_kind.is_plain
 
     @property
     def stopped(self) -> bool:
-        """Whether it stopped at an unknown force and is to be gone on with."""
+        """Whether the search stopped at an unknown force and is to be finished."""
         return self.of_a_kind is not None and not self.of_a_kind.is_plain
 
 
@@ -290,20 +287,20 @@ class Outcome:
 class OfAKind:
     """An unknown force of one ``kind`` of ``unknown_force.KINDS``.
 
-    ``outcome`` is that of a search beside it, and ``found`` its best model, maybe without effects, fitted to all of the
-    records that may be used with the force in the loop: the two leave next to nothing of what the model ``start`` does.
+    ``outcome`` is that of a search beside it, and ``fitted`` its best model, maybe without effects, fitted to all used
+    samples with the force in the loop: both leave next to nothing of what the model ``start`` leaves.
     """
 
     kind: Kind
     start: Fit
     outcome: Outcome
-    found: Fit
+    fitted: Fit
 
     @property
     def is_plain(self) -> bool:
-        """Whether it explains so much, with few effects, that what else could be said would stand in for it.
+        """Whether it explains so much, with few effects, that further effects would only imitate it.
 
-        What takes many effects and a force may as well be effects only.
+        Many effects and a force may as well be effects only.
         """
-        few = len(self.found.model.effects) - len(self.outcome.path[0].model.effects) <= rules.FEW_BESIDE
+        few = len(self.fitted.model.effects) - len(self.outcome.path[0].model.effects) <= rules.FEW_BESIDE
         return few and self.start.excess() >= rules.PLAIN * self.start.problem.samples("used")

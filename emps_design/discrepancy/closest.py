@@ -1,9 +1,7 @@
-"""The model that follows the records most closely, judged on the confirming data beside the one that is named.
+"""The model that follows the records most closely, also with effects that are no findings.
 
-The model that follows the records most closely, also with effects that nothing shows to be the right ones.
-
-A search ends where nothing more is a finding. Who wants to simulate the machine, and not to know what is wrong with it,
-is served by whatever predicts more of the strokes that were not fitted to, whichever effect carries it.
+A search ends where nothing more is a finding. To simulate the machine rather than explain it, any effect helps that
+predicts more of the strokes not fitted. The model is judged on the confirming data beside the named one.
 """
 
 from __future__ import annotations
@@ -32,30 +30,30 @@ FILE = "closest_model.toml"
 UNNEEDED = "what the model leaves is noise: nothing could follow the records more closely"
 
 
-def described(found: Fit, library: tuple[Effect, ...]) -> Fit:
-    """``found`` with whatever of ``library`` describes more of the fitting and the selecting strokes, fitted to all.
+def describe(current: Fit, library: tuple[Effect, ...]) -> Fit:
+    """``current`` with effects of ``library`` that reduce the residual of fitting and selecting strokes, fitted to all.
 
-    Curves over position and velocity, and memories of the path since a reversal.
+    Only curves over position and velocity, and memories of the path since a reversal.
     """
     describing = tuple(effect for effect in library if _describes(effect))
     for _ in range(MOST_ADDED):
-        promising = sorted(screen(found, describing, tangent(found)), key=lambda starts: -starts[0].gain)[:TRIED]
+        promising = sorted(screen(current, describing, tangent(current)), key=lambda starts: -starts[0].gain)[:TRIED]
         fits = side_by_side(fit, [(starts[0].hypothesis, "fit", None, STEPS) for starts in promising])
-        closer = [fitted for fitted in fits if _closer(fitted, found)]
+        closer = [fitted for fitted in fits if _closer(fitted, current)]
         if not closer:
             break
-        found = min(closer, key=lambda f: f.cost)
-    return fit(found, part="used")
+        current = min(closer, key=lambda f: f.cost)
+    return fit(current, part="used")
 
 
 def _describes(effect: Effect) -> bool:
-    """Whether ``effect`` is a curve over the state, or a memory of the path; a contact or a further line is none."""
+    """Whether ``effect`` is a curve over the state or a memory of the path, without contacts and further lines."""
     over_state = effect.over in ("q", "v") or effect.by_travel
     return effect.channel == "plant" and over_state and effect.guard is None and not effect.after
 
 
 def _closer(more: Fit, less: Fit) -> bool:
-    """Whether ``more`` leaves less than ``less`` of both kinds of strokes, and of all by what is worth a number."""
+    """Whether ``more`` leaves less than ``less`` of fitting and of selecting strokes, and clearly less of all."""
     both = more.cost_fit < less.cost_fit and more.cost_select < less.cost_select
     return both and more.cost < (1 - rules.WORTH_DESCRIBING) * less.cost
 
@@ -64,9 +62,9 @@ def _closer(more: Fit, less: Fit) -> bool:
 class Closest:
     """An ``axis`` whose simulation follows the records more closely than the named model's, and by how much.
 
-    ``effects`` are the labels of those that it has and the named model has not. ``axis`` None: there is none, and
-    ``text`` says why. ``train`` and ``holdout`` have its force error as ``extended``; ``share`` is that of the judged
-    record's closed loop over the rms of its motor force.
+    ``effects`` are the labels of its effects that the named model lacks. Where there is no such model, ``axis`` is None
+    and ``text`` says why. ``train`` and ``holdout`` have its force error as ``extended``; ``share`` is the force error
+    over the rms of the motor force on the record that judges.
     """
 
     text: str
@@ -88,13 +86,13 @@ class Closest:
 
 
 def closest_of(validation: Validation) -> Closest:
-    """The model that follows most closely, where that leaves less of the data that judge than the named one does."""
+    """The model that follows most closely, where it leaves less of the judging data than the named model."""
     outcome, named = validation.outcome, validation.extended
     judge = outcome.calibration.judge
     if not judge.leaves_structure(named):
         return Closest(UNNEEDED)
     problem, data = named.problem, outcome.calibration.preparation.held_out
-    model = described(outcome.best, outcome.calibration.preparation.library).model
+    model = describe(outcome.best, outcome.calibration.preparation.library).model
     baseline = validation.baseline.model
     train = compare(problem, baseline, model)
     held_out = None
@@ -115,7 +113,7 @@ def closest_of(validation: Validation) -> Closest:
 
 
 def _share(judged: GapComparison) -> float:
-    """The closed loop's force error over the rms of the motor force, on what is used of the record that judges."""
+    """Force error of the closed loop over the rms of the motor force, on the used samples of the judging record."""
     prediction = judged.prediction
-    left = (prediction.measured - prediction.extended)[prediction.used]
-    return float(np.linalg.norm(left) / np.linalg.norm(prediction.measured[prediction.used]))
+    error = (prediction.measured - prediction.extended)[prediction.used]
+    return float(np.linalg.norm(error) / np.linalg.norm(prediction.measured[prediction.used]))

@@ -1,21 +1,13 @@
-"""Which effects the confirming data withdraw, and how much of each effect a record asks for.
+"""Confirmation: the share of each effect that a record wants, the effects that stand, and their equivalents.
 
-How much of each effect a record asks for, while something may act on it that no effect explains.
+The share of an effect is the coefficient of its change in the residual, regressed onto that residual beside all other
+effects. The residual of the model counts as noise, once by its spectrum and once as a smooth function of the state, so
+that an effect may stand beside something unknown. Effects that the confirming data refute are withdrawn. Where
+structure is left that no effect explains, the parameters are estimated robustly.
 
-Every effect's own evidence: what it changes in the residual, regressed onto that residual beside all others. What the
-model leaves is part of the noise, once by its spectrum and once as a smooth function of the state.
-
-Which effects the confirming data withdraw, and which stand on their own evidence beside something unknown.
-
-The best estimate of the parameters where structure is left that no effect explains.
-
-Effects that could stand in the place of a finding as far as the records tell.
-
-When something happened: the instants that a record cannot tell apart, and the middle of them.
-
-A mass put on while the carriage runs at constant speed shows at the next acceleration: any instant of that stretch
-leaves as little, and a fit stops at the one where it happened to begin. What is said then is the middle of them, and a
-deviation of which two reach to either end.
+Some instants cannot be determined: a mass put on while the carriage runs at constant speed shows only at the next
+acceleration. Every instant of that stretch leaves as little, and a fit stops where it started. The answer is the middle
+of these instants, with a deviation of half the distance to either end.
 """
 
 from __future__ import annotations
@@ -29,7 +21,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import Judge
 from emps_design.discrepancy.calibration import Outcome, set_of
 from emps_design.discrepancy.fit import STEP, Fit, admissible, bounds_met, evaluate, fit
-from emps_design.discrepancy.gap import adapted
+from emps_design.discrepancy.gap import adapt
 from emps_design.discrepancy.least_squares import Candidate, descend
 from emps_design.discrepancy.noise_floor import LEFT, floor_of_residual
 from emps_design.discrepancy.parallel import side_by_side
@@ -41,25 +33,25 @@ from emps_design.errors import SimulationError
 
 Forces = tuple[np.ndarray, ...]  # one array (n,) [N] per record
 
-HUBER = 1.345  # standard deviations beyond which a sample pulls no harder: 95 % efficient where all is Gaussian noise
-REWEIGHTED = 3  # times the noise is taken again from what the fit leaves
+HUBER = 1.345  # standard deviations beyond which the influence is constant: 95 % efficient for Gaussian noise
+REWEIGHTED = 3  # times the noise is estimated again from the residual of the fit
 STEPS = 20
 
 RIVAL_STEPS = 8
 
-RISE = 4.0  # of the whitened cost, of noise 1 a sample: two deviations of a number that the cost is square in
+RISE = 4.0  # of the whitened cost, 1 a sample for noise: two deviations of a parameter with quadratic cost
 FIRST = 2.0  # samples, the first step to both sides
 HALVINGS = 7  # by which the end of a range is found within the last step
 
 
 @dataclass(frozen=True)
 class Share:
-    """How much of an effect a record asks for: ``share`` 1 is all of it, 0 none; ``std`` its standard deviation.
+    """Share of an effect that a record wants: ``share`` 1 is all of it, 0 none; ``std`` its standard deviation.
 
-    ``repeats`` is the share that the effect asks of itself when the carriage is disturbed by noise: below 1 where play
-    bounces, and no two laps are alike. ``exercised`` False: the record does not bring the effect out, and says nothing
-    of it. ``weighed`` are the shares where what the model leaves is itself noise, once by its spectrum and once as a
-    smooth function of the state, each with its deviation. ``bounces``: the effect is such play itself.
+    ``repeats`` is the share of the effect in its own simulation disturbed by noise: below 1 where play bounces and no
+    two laps are alike. ``exercised`` False: the record does not excite the effect and tells nothing about it.
+    ``weighed`` are (share, std) with the residual of the model as noise, by its spectrum and as a smooth function of
+    the state. ``bounces``: the effect is such play itself.
     """
 
     name: str
@@ -72,39 +64,39 @@ class Share:
 
     @property
     def refuted(self) -> bool:
-        """Whether the record clearly wants another amount of it than the effect itself, or all of it."""
+        """Whether the share is significantly outside ``repeats`` to 1."""
         return self.exercised and self._apart(self.share) - rules.SURE * self.std > rules.ASKED_APART
 
     @property
     def hardly_wanted(self) -> bool:
-        """Whether the record wants less than half of it, all weighings taken together: rather none than all."""
-        told = self.confirmed
-        return told is not None and told["share"] < rules.HALF
+        """Whether the mean share of all weightings is below one half."""
+        confirmed = self.confirmed
+        return confirmed is not None and confirmed["share"] < rules.HALF
 
     @property
     def wanted(self) -> bool:
-        """Whether the record wants about all of it, however what the model leaves is weighed."""
+        """Whether the share is about 1 in every weighting of the residual."""
         return self.exercised and self.astray <= rules.ASKED_APART
 
     @property
     def stands(self) -> bool:
-        """Whether the record clearly wants about all of it.
+        """Whether the share is about 1 and known well enough.
 
-        What stands in for something unknown shares its force with it, and is wanted in another amount as soon as the
-        unknown may be a function of the state too. What play makes of another effect by bouncing is luck: no evidence.
+        An effect that imitates something unknown has another share once the unknown may be a function of the state. A
+        share that bouncing play changes by chance is no evidence.
         """
-        if self.repeats < rules.ASKED_APART:  # of play that hardly ever bounces alike no more can be asked
+        if self.repeats < rules.ASKED_APART:  # play that hardly ever bounces alike cannot repeat better
             return self.wanted and self.bounces
         return self.wanted and max(std for _, std in self._all()) <= rules.SHARE_KNOWN * self.repeats
 
     @property
     def astray(self) -> float:
-        """How far from all of it the record's share is, in the least favourable weighing."""
+        """Distance of the share from 1 in the least favourable weighting."""
         return max(self._apart(share) for share, _ in self._all())
 
     @property
     def confirmed(self) -> dict[str, float] | None:
-        """The contract's share, of what the effect asks of itself, and its deviation; None where nothing is told."""
+        """The contract's share, relative to ``repeats``, and its deviation; None where the record does not tell it."""
         if not self.exercised or self.repeats < rules.ASKED_APART:
             return None
         shares = np.array(self._all()) / self.repeats
@@ -117,14 +109,14 @@ class Share:
         return max(self.repeats - share, share - 1.0)
 
 
-def asked_for(hypothesis: Hypothesis) -> tuple[Share, ...]:
-    """How much of each effect of a model its records ask for, all of them at once.
+def effect_shares(hypothesis: Hypothesis) -> tuple[Share, ...]:
+    """Share of each effect of a model that its records want, by one regression.
 
-    What every effect changes in the whitened residual, and what the four baseline numbers do, are regressed onto that
-    residual. A stand-in for unknown physics fits one motion; on another one it is wanted in another amount. The
-    regression is done again with what the model leaves as noise: whitened by its own spectrum, and as a sum of smooth
-    functions of the simulated state, with random coefficients of a size read from it (empirical Bayes); where these
-    explain nothing to begin with, by its spectrum only.
+    The changes that every effect and the four baseline numbers make in the whitened residual are regressed onto that
+    residual. An effect that imitates unknown physics fits one motion; on another motion its share differs. The
+    regression is repeated with the residual of the model as noise: whitened by its own spectrum, and as a sum of smooth
+    functions of the simulated state with random coefficients of estimated variance (empirical Bayes); beside an unknown
+    force by its spectrum only.
     """
     problem, model = hypothesis.problem, hypothesis.model
     if not model.effects:
@@ -132,53 +124,56 @@ def asked_for(hypothesis: Hypothesis) -> tuple[Share, ...]:
     noise = problem.noise(0)
     rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
     models = [hypothesis, *rests]
-    runs = [*((one, None) for one in (*models, *_beside_baseline(hypothesis))), *((one, noise) for one in models)]
-    left = side_by_side(_left, runs)
-    (whole, *lefts), (disturbed, *lefts_disturbed) = left[: -len(models)], left[-len(models) :]
-    if whole is None:  # what cannot run tells nothing
+    runs = [
+        *((judged, None) for judged in (*models, *_beside_baseline(hypothesis))),
+        *((judged, noise) for judged in models),
+    ]
+    residuals = side_by_side(_residuals, runs)
+    (whole, *changed), (disturbed, *changed_disturbed) = residuals[: -len(models)], residuals[-len(models) :]
+    if whole is None:  # a model that cannot be simulated tells nothing
         return tuple(Share(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
-    columns = [_change(one, whole) for one in lefts]  # of the effects, then of the baseline's numbers
-    again = [_change(one, disturbed) for one in lefts_disturbed]
-    spectrum = floor_of_residual(problem.pick(problem.unfollowed(whole), "used"), problem.period, LEFT).whitening
+    columns = [_change(residual, whole) for residual in changed]  # of the effects, then of the baseline's numbers
+    again = [_change(residual, disturbed) for residual in changed_disturbed]
+    spectrum = floor_of_residual(problem.pick(problem.without_states(whole), "used"), problem.period, LEFT).whitening
     states = () if problem.states else states_of(hypothesis)
     noises = (problem, problem.with_whitening(spectrum))
     unknown = ((), states) if states else ((),)
     shares: list[list[tuple[float, float]]] = side_by_side(
-        _shares_of, [(one, whole, columns, other) for one in noises for other in unknown]
+        _shares_of, [(weighting, whole, columns, other) for weighting in noises for other in unknown]
     )
-    found = []
+    by_effect = []
     for i, (change, other) in enumerate(zip(columns[: len(again)], again, strict=True)):
         here, there = _gathered(problem, change), _gathered(problem, other)
         repeats = min(1.0, float(here @ there) / max(float(there @ there), 1e-30))
         exercised = float(np.linalg.norm(here)) > rules.EXERCISED * np.sqrt(here.size)
         weighed = tuple(rows[i] for rows in shares[1:])
-        found.append(
+        by_effect.append(
             Share(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=has_play(model.effects[i]))
         )
-    return tuple(found)
+    return tuple(by_effect)
 
 
 def _shares_of(weighed: Problem, whole: Forces, columns: list[Forces], states: Forces) -> list[tuple[float, float]]:
-    """Shares of the changes ``columns`` that ``whole`` asks for, where it may be a function of ``states`` as well."""
+    """Shares of ``columns`` that the residual ``whole`` wants, where it may be a function of ``states`` as well."""
     design = np.column_stack([_gathered(weighed, column) for column in columns])
     return _shares(design, _gathered(weighed, whole), orthonormal(_gathered(weighed, states)) if states else None)
 
 
-def _shares(design: np.ndarray, left: np.ndarray, unknown: np.ndarray | None = None) -> list[tuple[float, float]]:
-    """Share of each column of ``design`` (n, k) that ``left`` (n,) asks for, and its deviation, in whitened numbers.
+def _shares(design: np.ndarray, residual: np.ndarray, unknown: np.ndarray | None = None) -> list[tuple[float, float]]:
+    """Share of each column of ``design`` (n, k) that ``residual`` (n,) wants, and its deviation; all whitened.
 
-    Along ``unknown`` (n, m), orthonormal, what is left may be structure and counts as noise of its own variance.
+    Along ``unknown`` (n, m), orthonormal, the residual may be structure and counts as noise of its own variance.
     """
     size = np.linalg.norm(design, axis=0)
-    size[size == 0] = np.inf  # what changes nothing is not asked for
+    size[size == 0] = np.inf  # a column of zeros has no share
     unit = design / size
-    noise, structure, basis = max(1.0, float(left @ left) / left.size), 0.0, np.zeros((left.size, 0))
+    noise, structure, basis = max(1.0, float(residual @ residual) / residual.size), 0.0, np.zeros((residual.size, 0))
     if unknown is not None:
         basis = unknown
         both = np.column_stack([unit, basis])
-        rest = left - both @ np.linalg.lstsq(both, left, rcond=1e-10)[0]
-        noise = max(1.0, float(rest @ rest) / (left.size - both.shape[1]))
-        beside = left - unit @ np.linalg.lstsq(unit, left, rcond=1e-10)[0]
+        rest = residual - both @ np.linalg.lstsq(both, residual, rcond=1e-10)[0]
+        noise = max(1.0, float(rest @ rest) / (residual.size - both.shape[1]))
+        beside = residual - unit @ np.linalg.lstsq(unit, residual, rcond=1e-10)[0]
         structure = max(0.0, float(np.mean((basis.T @ beside) ** 2)) - noise)
     quietened = structure / (noise + structure)
 
@@ -186,7 +181,7 @@ def _shares(design: np.ndarray, left: np.ndarray, unknown: np.ndarray | None = N
         return (x - quietened * basis @ (basis.T @ x)) / noise
 
     inverse = np.linalg.pinv(unit.T @ weighed(unit), hermitian=True)
-    shares = 1.0 + inverse @ (unit.T @ weighed(left)) / size
+    shares = 1.0 + inverse @ (unit.T @ weighed(residual)) / size
     stds = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
     return [(float(share), float(std)) for share, std in zip(shares, stds, strict=True)]
 
@@ -196,23 +191,23 @@ def _gathered(problem: Problem, signals: Forces) -> np.ndarray:
     return problem.gather(problem.whiten(signals), "used")
 
 
-def _left(hypothesis: Hypothesis, disturbance: Forces | None = None) -> Forces | None:
-    """Measured minus simulated force with ``disturbance`` on the carriage; None where the model cannot run."""
+def _residuals(hypothesis: Hypothesis, disturbance: Forces | None = None) -> Forces | None:
+    """Measured minus simulated force with ``disturbance`` on the carriage; None where the simulation fails."""
     try:
         return hypothesis.residuals(disturbance)
     except SimulationError:
         return None
 
 
-def _change(left: Forces | None, whole: Forces | None) -> Forces:
-    """What ``left`` has more than ``whole``; a model that cannot run tells nothing."""
-    if left is None or whole is None:
-        return tuple(np.zeros_like(force) for force in left or whole or ())
-    return tuple(one - other for one, other in zip(left, whole, strict=True))
+def _change(changed: Forces | None, whole: Forces | None) -> Forces:
+    """``changed`` minus ``whole``; zero where a simulation failed."""
+    if changed is None or whole is None:
+        return tuple(np.zeros_like(force) for force in changed or whole or ())
+    return tuple(force - other for force, other in zip(changed, whole, strict=True))
 
 
 def _beside_baseline(hypothesis: Hypothesis) -> list[Hypothesis]:
-    """The model with a small step of each baseline number."""
+    """The model with a small step of each free baseline number, one after the other."""
     model = hypothesis.model
     slots = tuple(slot for slot in model.slots() if slot.effect < 0)
     steps = np.diag([STEP * slot.magnitude for slot in slots])
@@ -220,35 +215,35 @@ def _beside_baseline(hypothesis: Hypothesis) -> list[Hypothesis]:
 
 
 def robust(fitted: Fit) -> Fit:
-    """Refit the least squares of ``fitted`` to all that may be used: what structure is left pulls less at its numbers.
+    """Refit ``fitted`` to all used samples so that remaining structure biases its parameters less.
 
-    Least squares under the noise of the laps takes slow structure for what a parameter does. Here what is left is
-    itself the noise (feasible generalised least squares): it weighs least where the structure is, and bursts pull no
-    harder than their neighbours (Huber's loss). The result is judged under the noise of ``fitted`` again, of whose
-    residual it leaves more.
+    Least squares under the noise of the laps takes slow structure for the effect of a parameter. Here the residual is
+    itself the noise (feasible generalised least squares): it has least weight where the structure is, and the influence
+    of bursts is bounded (Huber's loss). The result is judged under the noise of ``fitted`` again, and leaves more than
+    least squares.
     """
     model, covariance, slots = fitted.model, fitted.covariance, fitted.model.slots()
     numbers = []
     for _ in range(REWEIGHTED):
-        noise = floor_of_residual(fitted.with_model(model).left(), fitted.problem.period, LEFT)
+        noise = floor_of_residual(fitted.with_model(model).remaining_force(), fitted.problem.period, LEFT)
         weighed = fitted.problem.with_whitening(noise.whitening)
-        found = descend(model, slots, partial(_loss, weighed), STEPS)
-        model, covariance = found.model, found.covariance
+        descent = descend(model, slots, partial(_loss, weighed), STEPS)
+        model, covariance = descent.model, descent.covariance
         numbers.append(model.vector(slots))
     return evaluate(fitted.with_model(model), slots, widened(covariance, numbers))
 
 
 def widened(covariance: np.ndarray, numbers: list[np.ndarray]) -> np.ndarray:
-    """``covariance`` (k, k) with no deviation smaller than how far ``numbers``, each (k,), lie apart.
+    """``covariance`` (k, k) with every standard deviation at least the range of ``numbers``, each (k,).
 
-    A number that depends on how it is taken from the records is not known better than it moved.
+    A parameter that depends on the estimation method is not known better than it moved.
     """
     wider = np.maximum(1.0, np.ptp(numbers, axis=0) / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
     return covariance * np.outer(wider, wider)
 
 
 def _loss(problem: Problem, model: Candidate) -> np.ndarray:
-    """Numbers (n,) whose sum of squares is Huber's loss of the innovations (n,) that ``model`` leaves."""
+    """Residuals (n,) whose sum of squares is Huber's loss of the innovations (n,) of ``model``."""
     innovations = Hypothesis(problem, model).residual("used")
     size = np.abs(innovations)
     far = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, 0.0))
@@ -256,13 +251,13 @@ def _loss(problem: Problem, model: Candidate) -> np.ndarray:
 
 
 def equivalents(outcome: Outcome) -> dict[str, list[str]]:
-    """For each accepted effect, those that could stand in its place as far as these records tell."""
+    """For each accepted effect, the effects that explain these records as well in its place, best first."""
     best, judge = outcome.best, outcome.calibration.judge
-    threshold, found = judge.healthy.threshold, {}
+    threshold, by_effect = judge.healthy.threshold, {}
     for name in best.model.names:
         others = set_of(best) - {name}
         without = outcome.tried.get(others, outcome.path[0]).cost
-        # At the floor chance is the only excuse; above it, what is missing may favour either by a few percent.
+        # At the floor only chance counts; above it, missing physics may favour either by a few percent.
         margin = threshold
         if not judge.at_floor(best):
             margin = max(threshold, rules.EQUIVALENT * (without - best.cost))
@@ -271,17 +266,17 @@ def equivalents(outcome: Outcome) -> dict[str, list[str]]:
             for key, rival in outcome.tried.items()
             if len(key) == len(others) + 1 and others < key and name not in key and rival.cost <= best.cost + margin
         ]
-        found[name] = [rival for _, rival in sorted(rivals)]
-    return found
+        by_effect[name] = [rival for _, rival in sorted(rivals)]
+    return by_effect
 
 
 def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
-    """The same for what ``stands`` beside something unknown, with what it leaves as the noise.
+    """:func:`equivalents` of the model ``stands`` beside something unknown, with its residual as the noise.
 
-    Tried in the place of each finding are the effects it is known to be confused with, from their own best fit.
+    Each finding is replaced by the effects it is confusable with, starting from their own best fits.
     """
-    noise = floor_of_residual(stands.left(), stands.problem.period, LEFT).whitening
-    weighed, found = stands.problem.with_whitening(noise), {}
+    noise = floor_of_residual(stands.remaining_force(), stands.problem.period, LEFT).whitening
+    weighed, by_effect = stands.problem.with_whitening(noise), {}
     own = evaluate(Hypothesis(weighed, stands.model))
     for index, effect in enumerate(stands.model.effects):
         rest = stands.model.without(index)
@@ -298,38 +293,40 @@ def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
         )
         margin = max(outcome.calibration.healthy.threshold, rules.EQUIVALENT * (without.cost - own.cost))
         alike = [rival for rival in rivals if admissible(rival) and rival.cost <= own.cost + margin]
-        found[effect.name] = [rival.model.names[-1] for rival in sorted(alike, key=lambda rival: rival.cost)]
-    return found
+        by_effect[effect.name] = [rival.model.names[-1] for rival in sorted(alike, key=lambda rival: rival.cost)]
+    return by_effect
 
 
 def confirm(judge: Judge, held_out: HeldOut, extended: Fit) -> tuple[Fit, list[Share], tuple[Share, ...]]:
-    """Withdraw from ``extended`` what the confirming data refute, or hardly want, one by one, and refit the rest.
+    """Withdraw effects of ``extended`` that the confirming data refute or hardly want, one by one, and refit the rest.
 
-    Also returns how much of the rest they ask for, and what was withdrawn. An effect of the controller has its evidence
-    in the law, and is not asked for.
+    Also returns the shares of the rest, and those withdrawn. An effect of the controller has its evidence in the law,
+    and needs no share.
     """
     refuted: list[Share] = []
-    asked = claims_on(held_out, extended)
-    while doubtful := [a for a in asked if a.refuted or a.hardly_wanted]:
+    shares = claims_on(held_out, extended)
+    while doubtful := [a for a in shares if a.refuted or a.hardly_wanted]:
         worst = max(doubtful, key=lambda a: abs(a.share - 1) / a.std)
         refuted.append(worst)
         extended = judge.refitted(extended.with_model(extended.model.without_named([worst.name])))
-        asked = claims_on(held_out, extended)
-    return extended, asked, tuple(refuted)
+        shares = claims_on(held_out, extended)
+    return extended, shares, tuple(refuted)
 
 
 def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Share, ...]]:
-    """The robust fit of those effects of ``extended`` that stand on their own evidence, and what was withdrawn.
+    """The robust fit of the effects of ``extended`` that stand on their own evidence, and the shares withdrawn.
 
-    An effect that the confirming data do not exercise must stand on the training records. What the model leaves counts
-    as noise here, so that an effect may stand beside something unknown. A refit after each withdrawal would bend the
-    rest to the unknown: all numbers stay until what is left is wanted. An effect whose share is not known well takes
-    the unknown's part till then, lest the others take it; then those that stand are fitted robustly without it, and
-    asked for again. A size that now depends on how the rest is weighed was lent by the rest, however alike two records
-    are in that; so was a number that now ends where its physics does. A curve through knots, or one element of a
-    hysteresis, has no shape of its own to be recognised by: beside something unknown it is part of that.
+    An effect that the confirming data do not exercise must stand on the training records. The residual counts as noise,
+    so that an effect may stand beside something unknown. A refit after each withdrawal would bend the rest towards the
+    unknown: all parameters stay until every remaining effect is wanted. An effect with a poorly known share is kept
+    until then, so that the others do not absorb the unknown; then those that stand are fitted robustly without it, and
+    their shares computed again. An effect is withdrawn too where its size is now poorly known, or a parameter ends on a
+    bound: the unknown had determined it. A curve through knots, or one element of a hysteresis, has no characteristic
+    shape, and never stands beside something unknown.
     """
-    extended = _less(extended, [effect.name for effect in extended.model.effects if effect.general or effect.element])
+    extended = _without(
+        extended, [effect.name for effect in extended.model.effects if effect.general or effect.element]
+    )
     withdrawn: list[Share] = []
     refitted = False
     while _plant(extended):
@@ -342,15 +339,15 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Share,
                 break
         gone = [max(doubtful, key=lambda a: a.astray)] if doubtful else [a for a in judged if not a.stands]
         withdrawn += gone
-        extended = _less(extended, [one.name for one in gone])
+        extended = _without(extended, [share.name for share in gone])
         refitted = refitted or not doubtful
         if refitted and _plant(extended):
-            extended = robust(fit(extended, part="used"))  # the numbers were those of a model with more effects
+            extended = robust(fit(extended, part="used"))  # the parameters were those of a model with more effects
     return extended, tuple(withdrawn)
 
 
 def _size_known(fitted: Fit, name: str) -> bool:
-    """Whether a size of the effect is known as well as the share of it has to be; a shape alone has none."""
+    """Whether one linear parameter of the effect ``name`` is known to ``rules.SHARE_KNOWN``, or it has none."""
     index = fitted.model.names.index(name)
     effect, values = fitted.model.effects[index], fitted.model.values[index]
     known = [
@@ -362,36 +359,36 @@ def _size_known(fitted: Fit, name: str) -> bool:
 
 
 def _judged(held_out: HeldOut | None, extended: Fit) -> list[Share]:
-    """How much of each effect is asked for by the confirming data, by the training records where they tell nothing."""
-    asked = [] if held_out is None else claims_on(held_out, extended)
-    if asked and all(one.exercised for one in asked):
-        return asked
-    trained = {one.name: one for one in _claims(asked_for(extended), extended)}
-    return [one if one.exercised else trained[one.name] for one in asked or trained.values()]
+    """Shares by the confirming data; by the training records of effects that those do not exercise."""
+    shares = [] if held_out is None else claims_on(held_out, extended)
+    if shares and all(share.exercised for share in shares):
+        return shares
+    trained = {share.name: share for share in _claims(effect_shares(extended), extended)}
+    return [share if share.exercised else trained[share.name] for share in shares or trained.values()]
 
 
 def claims_on(held_out: HeldOut, extended: Fit) -> list[Share]:
-    """How much of each effect of the plant the confirming data ask for."""
+    """Share of each effect of the plant that the confirming data want."""
     model = extended.model
-    return _claims(asked_for(Hypothesis(held_out.problem, adapted(held_out, model, model))), extended)
+    return _claims(effect_shares(Hypothesis(held_out.problem, adapt(held_out, model, model))), extended)
 
 
-def _claims(asked: tuple[Share, ...], fitted: Fit) -> list[Share]:
-    """Those of ``asked`` that act on the plant: what the controller does is known from its law."""
-    return [one for one in asked if one.name in _plant(fitted)]
+def _claims(shares: tuple[Share, ...], fitted: Fit) -> list[Share]:
+    """Those of ``shares`` that act on the plant: effects of the controller are known from its law."""
+    return [share for share in shares if share.name in _plant(fitted)]
 
 
 def _plant(fitted: Fit) -> list[str]:
     return [effect.name for effect in fitted.model.effects if effect.channel != "controller"]
 
 
-def _less(fitted: Fit, names: list[str]) -> Fit:
-    """``fitted`` without the effects called ``names``, all other numbers as they are."""
+def _without(fitted: Fit, names: list[str]) -> Fit:
+    """``fitted`` without the effects ``names``, all other parameters unchanged."""
     return evaluate(fitted.with_model(fitted.model.without_named(names))) if names else fitted
 
 
 def centred(fitted: Fit) -> Fit:
-    """``fitted`` with every instant in the middle of those that leave as little."""
+    """``fitted`` with every instant in the middle of its range of equal cost."""
     model = fitted.model
     for index, place, record in _instants(fitted):
         low, high = indistinct(fitted.with_model(model), index, place, record)
@@ -404,7 +401,7 @@ def centred(fitted: Fit) -> Fit:
 
 
 def deviation_in_time(fitted: Fit, index: int, place: int, record: int) -> float:
-    """Standard deviation [s] of an instant of effect ``index``: two reach from the middle to either end; else 0."""
+    """Standard deviation [s] of an instant of effect ``index``: a quarter of its range; 0 for other parameters."""
     if (index, place, record) not in _instants(fitted):
         return 0.0
     low, high = indistinct(fitted, index, place, record)
@@ -412,9 +409,9 @@ def deviation_in_time(fitted: Fit, index: int, place: int, record: int) -> float
 
 
 def indistinct(fitted: Hypothesis, index: int, place: int, record: int) -> tuple[float, float]:
-    """The range of instants [s] around that of effect ``index`` on ``record``, all else equal, that leave as little.
+    """Range of instants [s] around that of effect ``index`` on ``record`` with equal cost, all else unchanged.
 
-    Empty where two samples to either side leave more.
+    Of length zero where two samples to either side leave more.
     """
     problem, now = fitted.problem, float(fitted.model.values[index][record, place])
     residual = fitted.residual("used")
@@ -422,10 +419,10 @@ def indistinct(fitted: Hypothesis, index: int, place: int, record: int) -> tuple
 
     def leaves_as_little(instant: float) -> bool:
         try:
-            left = fitted.with_model(_moved(fitted.model, index, place, record, instant)).residual("used")
+            changed = fitted.with_model(_moved(fitted.model, index, place, record, instant)).residual("used")
         except SimulationError:
             return False
-        return float(left @ left) < limit
+        return float(changed @ changed) < limit
 
     def end(way: float, bound: float) -> float:
         reached, step = now, FIRST * problem.period
@@ -455,7 +452,7 @@ def _unit(fitted: Hypothesis) -> float:
 
 
 def _instants(fitted: Fit) -> list[tuple[int, int, int]]:
-    """Effect, place and record of every free number that is an instant; at its lower bound, 0, it is switched off."""
+    """Effect, place and record of every free instant; an instant at its lower bound, 0, is switched off."""
     values = fitted.model.values
     return [
         (slot.effect, slot.place, slot.record)

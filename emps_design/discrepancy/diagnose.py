@@ -12,11 +12,11 @@ from emps_design.discrepancy.beam_search import UNFINISHED, past_the_kind, searc
 from emps_design.discrepancy.calibration import Outcome, calibrate, first_noise
 from emps_design.discrepancy.closest import closest_of
 from emps_design.discrepancy.explanation import explain
-from emps_design.discrepancy.long_records import beginnings, look_at_the_rest
+from emps_design.discrepancy.long_records import beginnings, check_the_rest
 from emps_design.discrepancy.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.preparation import Confirming, Preparation, prepare
 from emps_design.discrepancy.result import Diagnosis
-from emps_design.discrepancy.starts import at_first_sight, told
+from emps_design.discrepancy.starts import at_first_sight, suspects_text
 from emps_design.discrepancy.verdict import Validation, validate
 from emps_design.effects import Effect, known_effects
 from emps_design.errors import EmpsError, RecordError, SimulationError
@@ -24,8 +24,12 @@ from emps_design.laws import NONE
 from emps_design.progress import Progress, no_progress, of_part
 from emps_design.records import Record
 
-SEARCHES = ((0.0, 0.6), (0.6, 0.25), (0.85, 0.15))  # start and share of the progress; noise taken again in between
-CONFIRMATION = (1.0, 0.05)  # the same, beyond the searches: one that ended early may have to go on
+SEARCHES = (
+    (0.0, 0.6),
+    (0.6, 0.25),
+    (0.85, 0.15),
+)  # start and share of the progress; the noise is estimated again in between
+CONFIRMATION = (1.0, 0.05)  # the same for finishing a search that ended early
 NOT_REPEATED = "interrupted: the search was not repeated on the noise that its model left"
 STILL_FINER = "the model leaves less than the noise it was judged by: more may be there than was found"
 
@@ -48,30 +52,29 @@ def diagnose(
     ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
     record, is opened once, at the end. Without either it is the first lap, or the last third, of a single record, where
     enough is left to fit. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
-    effect; its starts and bounds are sized to the axis. ``searches`` healthy records are simulated and searched like
-    this one, for the gain that chance alone reaches; 0 takes a linearisation of that. ``progress(stage, share)``
-    hears how far it is, ``searched(model)`` the model with which a search ended, before it is confirmed. Of records
-    too long to be searched whole the beginning is, and what its model leaves of the rest is told. With ``closest`` the
-    answer also has the model that follows the records most closely, whatever its effects stand for. Raises
-    :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` is not the one that
-    made them.
+    effect; its starts and bounds are scaled to the axis. ``searches`` healthy records are simulated and searched like
+    this one, for the gain that chance alone reaches; 0 linearises that. ``progress(stage, share)`` reports progress,
+    ``searched(axis)`` the model at the end of each search, before it is confirmed. Of records too long to be searched
+    whole only the beginning is searched, and a warning says what its model leaves of the rest. With ``closest`` the
+    answer also has the model that follows the records most closely, whatever its effects mean. Raises
+    :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` did not make them.
     """
     from threadpoolctl import threadpool_limits
 
-    report, hears = _forward(progress or no_progress), searched or (lambda model: None)
+    report, report_model = _forward(progress or no_progress), searched or (lambda model: None)
     records = (records,) if isinstance(records, Record) else tuple(records)
     library = tuple(known_effects().values() if library is None else library)
 
     def along_motion() -> Diagnosis:
-        return diagnose_along_motion(records, axis, library, holdout, (fit_time, confirm_time), report, hears)
+        return diagnose_along_motion(records, axis, library, holdout, (fit_time, confirm_time), report, report_model)
 
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
         if too_slow(records):
             return along_motion()
         try:
-            asked = DiagnosisRequest(records, axis, library, holdout, fit_time, confirm_time)
-            return _by_simulation(asked, seed, searches, report, hears, closest)
+            request = DiagnosisRequest(records, axis, library, holdout, fit_time, confirm_time)
+            return _by_simulation(request, seed, searches, report, report_model, closest)
         except (SimulationError, RecordError) as error:
             if axis.controller.kind != NONE:
                 raise
@@ -83,7 +86,7 @@ def diagnose(
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
-    """What :func:`diagnose` was asked, but for how."""
+    """The data that :func:`diagnose` is to judge: records, axis, library, and the windows in time."""
 
     records: tuple[Record, ...]
     axis: Axis
@@ -93,38 +96,43 @@ class DiagnosisRequest:
     confirm_time: tuple[float, float] | None
 
     def prepared(self, parts: tuple[Record, ...], opened: Confirming | None = None) -> Preparation:
-        """The first stage on ``parts`` of the records, all of them fitted where what was kept is ``opened``."""
+        """The first stage on ``parts`` of the records; with ``opened`` all is fitted and nothing held out."""
         confirms = (self.holdout, self.fit_time, self.confirm_time) if opened is None else (None, self.fit_time, None)
         return prepare(parts, self.axis, self.library, *confirms, opened)
 
 
 def _by_simulation(
-    asked: DiagnosisRequest, seed: int, searches: int, report: Progress, hears: Callable[[Axis], None], closest: bool
+    request: DiagnosisRequest,
+    seed: int,
+    searches: int,
+    report: Progress,
+    report_model: Callable[[Axis], None],
+    closest: bool,
 ) -> Diagnosis:
     """Diagnose by closed-loop simulations of the records."""
     report("checking the records and the controller's law", 0.02)
-    parts = beginnings(asked.records, asked.fit_time, asked.confirm_time)
+    parts = beginnings(request.records, request.fit_time, request.confirm_time)
     searching = of_part(report, 0.1, 0.8)
 
     def validated(preparation: Preparation) -> Validation:
-        seen = told(at_first_sight(preparation.start, preparation.library))
-        report(f"fitting the baseline{seen}", 0.05)
+        suspects = suspects_text(at_first_sight(preparation.start, preparation.library))
+        report(f"fitting the baseline{suspects}", 0.05)
         rough, floor = first_noise(preparation)
         part = of_part(searching, *SEARCHES[0])
         outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
-        hears(outcome.best.model.to_axis(asked.axis))
+        report_model(outcome.best.model.to_axis(request.axis))
         outcome = _repeated(outcome, seed, searches, searching)
-        hears(outcome.best.model.to_axis(asked.axis))
+        report_model(outcome.best.model.to_axis(request.axis))
         report("confirming on data not used so far", 0.9)
         return validate(outcome, of_part(searching, *CONFIRMATION))
 
-    preparation = asked.prepared(parts)
+    preparation = request.prepared(parts)
     validation = validated(preparation)
     if preparation.confirming.chosen == "kept" and _differs_there(validation):
-        whole = validated(asked.prepared(parts, preparation.confirming.opened))
+        whole = validated(request.prepared(parts, preparation.confirming.opened))
         if whole.extended.model.names:
             preparation, validation = whole.outcome.calibration.preparation, whole
-    rest, more = look_at_the_rest(asked.records, parts, preparation.laws, validation.extended)
+    rest, more = check_the_rest(request.records, parts, preparation.laws, validation.extended)
     if closest:
         report("looking for the model that follows most closely", 0.95)
     following = closest_of(validation) if closest else None
@@ -132,7 +140,7 @@ def _by_simulation(
 
 
 def _differs_there(validation: Validation) -> bool:
-    """Whether what was kept closed has something that the fitted rest lacks, such as a drift that fades or a change."""
+    """Whether the part held out has something that the fitted rest lacks, such as a drift that fades."""
     if validation.held_out is None or validation.outcome.interrupted:
         return False
     floor = validation.outcome.calibration.floor.force
@@ -140,9 +148,9 @@ def _differs_there(validation: Validation) -> bool:
 
 
 def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -> Outcome:
-    """Calibrate and search again as long as the model leaves less than the noise it was judged by, twice at most.
+    """Calibrate and search again while the model leaves clearly less than the noise it was judged by, twice at most.
 
-    A search that stopped at an unknown force of one kind is gone on with under the last noise only: that takes longest.
+    A search that stopped at an unknown force is finished under the last noise only, which takes longest.
     """
     part = of_part(searching, *SEARCHES[0])
     for shares in SEARCHES[1:]:
@@ -157,8 +165,8 @@ def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -
         except KeyboardInterrupt:
             again = None
         if again is None or again.interrupted:
-            told = (NOT_REPEATED, UNFINISHED) if outcome.stopped else (NOT_REPEATED,)
-            return replace(outcome, warnings=(*outcome.warnings, *told), interrupted=outcome.stopped)
+            remarks = (NOT_REPEATED, UNFINISHED) if outcome.stopped else (NOT_REPEATED,)
+            return replace(outcome, warnings=(*outcome.warnings, *remarks), interrupted=outcome.stopped)
         outcome = replace(again, warnings=(*outcome.warnings, *again.warnings))
     outcome = past_the_kind(outcome, part)
     if not outcome.interrupted and _finer(outcome) is not None:
@@ -167,22 +175,22 @@ def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -
 
 
 def _finer(outcome: Outcome) -> Floor | None:
-    """The noise read again, where that is clearly less than the noise the best model was judged by.
+    """The noise estimated from the best model, where clearly less than the one it was judged by; else None.
 
-    It was taken from what no model followed yet, or from laps that are not alike: what the model knows of one lap and
-    not of another is then no noise. Nor is what an unknown force of one kind explains.
+    The earlier noise contained what the baseline did not follow, or differences of laps that the model explains. The
+    part that an unknown force of one kind explains is no noise either.
     """
     floor, force = outcome.calibration.floor, outcome.of_a_kind
-    best = outcome.best if force is None else force.found
+    best = outcome.best if force is None else force.fitted
     splits, period = best.problem.splits, best.problem.period
     of_laps = floor_of_laps(best.residuals(), splits, period) if floor.from_laps else None
-    finer = of_laps or floor_of_residual(best.left(), period, LEFT)
+    finer = of_laps or floor_of_residual(best.remaining_force(), period, LEFT)
     pays = finer.force < rules.FINER * floor.force or finer.force_60hz < rules.FINER * floor.force_60hz
     return finer if pays else None
 
 
 def _forward(progress: Progress) -> Progress:
-    """``progress`` that never goes back, where a search goes on from an earlier round."""
+    """``progress`` that never decreases, even where a search continues from an earlier round."""
     reached = 0.0
 
     def report(stage: str, share: float) -> None:

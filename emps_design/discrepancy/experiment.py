@@ -1,17 +1,13 @@
-"""The experiment to run next: excitations that bring out what a record did not show, and that tell rivals apart.
-
-Excitations that bring out what a record did not show, inside what the machine has been seen to do.
+"""The experiment to run next: excitations within the limits of the records, and the one that separates rival models.
 
 Every excitation is a reference ``q_ref`` (n,) [m] at the record's period that begins and ends at rest where the record
 began, lasts ten to thirty seconds on an ordinary axis, and stays within the positions, speeds, accelerations and jerks
 of the record. The order of its strokes leaves some of every kind to fit and some to select (every third one).
 
-The experiment that would tell apart what the records could not: the excitation on which the rivals differ most.
-
-Each rival is simulated on each excitation, as if it were the machine, and another is fitted to what it does, its
-numbers held by what the records already know of them. What is left of the difference, whitened like any residual,
-has a length D in standard deviations of the noise: with a real record of that excitation the wrong model will cost D^2
-more than the right one, give or take 2 D.
+The best excitation is the one on which the rival models differ most. Each rival is simulated on each excitation as the
+machine, and another is fitted to that simulation, its parameters held by their covariance from the records. The
+whitened residual has a length D in standard deviations of the noise: on a real record of that excitation the wrong
+model will cost D^2 +- 2 D more than the right one.
 """
 
 from __future__ import annotations
@@ -39,10 +35,10 @@ from emps_design.simulation.synthetic import point_to_point
 
 MARGIN = 0.9  # of the record's top speed and acceleration
 EDGE = 0.02  # of its travel, left free at both ends
-SHORTEST, LONGEST = 10.0, 25.0  # s: cycles are repeated to the one, none is begun beyond the other
-BAND_HZ = 60.0  # in which the measured acceleration counts
+SHORTEST, LONGEST = 10.0, 25.0  # s: cycles repeat until the first, and none starts after the second
+BAND_HZ = 60.0  # of the measured acceleration
 SWEEP_HZ = (2.0, 100.0)  # of the chirp
-LEAST_FOLLOWED = 0.02  # of a chirp: the reference never asks for more than fifty times what it wants
+LEAST_FOLLOWED = 0.02  # of a chirp: the reference is at most fifty times the wanted motion
 
 Move = tuple[float, float, float, float]  # target [m], share of the speed, of the acceleration, pause after it [s]
 
@@ -56,7 +52,7 @@ EXPERIMENTS = {  # the excitation that varies one quantity and little else
     "time since a reversal": "stop_and_dwell",
 }
 PULSE = 1e-6  # m, small enough for no voltage limit
-REFITTED = 2  # excitations at most that are looked at with the rivals fitted to convergence
+REFITTED = 2  # excitations for which the rivals are fitted to convergence
 STEPS = 3
 
 
@@ -65,8 +61,8 @@ class Envelope:
     """What an excitation may use: positions ``low`` to ``high`` [m], ``speed`` [m/s], ``acceleration`` [m/s^2],
     ``jerk`` [m/s^3]; it starts from rest at ``home`` [m] and is sampled every ``period`` [s].
 
-    ``follows`` (n,) -> (n,) is the gain from reference to position at angular frequencies [rad/s]. What a loop does not
-    follow may be asked for in proportion: the limits are those of the machine, not of its reference.
+    ``follows`` (n,) -> (n,) is the gain from reference to position at angular frequencies [rad/s]. The reference may be
+    larger by its inverse: the limits are those of the machine, not of its reference.
     """
 
     period: float
@@ -80,16 +76,16 @@ class Envelope:
 
     @classmethod
     def of(cls, records: Iterable[Record]) -> Envelope:
-        """The envelope of what ``records`` show, with a margin.
+        """The envelope of ``records``, with a margin.
 
-        Speed and acceleration are the smaller of what was asked for and what was measured below 60 Hz: a reference
-        that jumps asks for more than any machine does.
+        Speed and acceleration are the smaller of the reference's and the measured ones below 60 Hz: no machine follows
+        a reference that jumps.
         """
         from emps_design.identification.filters import motion
 
         records = tuple(records)
         period = records[0].period
-        asked = [np.diff(r.q_ref) / period for r in records]
+        commanded = [np.diff(r.q_ref) / period for r in records]
         moved = [motion(r, BAND_HZ) for r in records]
         low, high = min(float(r.q.min()) for r in records), max(float(r.q.max()) for r in records)
         return cls(
@@ -97,9 +93,9 @@ class Envelope:
             home=float(records[0].q_ref[0]),
             low=low + EDGE * (high - low),
             high=high - EDGE * (high - low),
-            speed=MARGIN * min(_top(asked), _top(m.v for m in moved)),
-            acceleration=MARGIN * min(_top(np.diff(v) / period for v in asked), _top(m.a for m in moved)),
-            jerk=MARGIN * _top(np.diff(v, 2) / period**2 for v in asked),
+            speed=MARGIN * min(_top(commanded), _top(m.v for m in moved)),
+            acceleration=MARGIN * min(_top(np.diff(v) / period for v in commanded), _top(m.a for m in moved)),
+            jerk=MARGIN * _top(np.diff(v, 2) / period**2 for v in commanded),
         )
 
     @property
@@ -124,7 +120,7 @@ class Envelope:
     def trace(self, cycle: list[Move]) -> np.ndarray:
         """Position (n,) [m] of the moves of ``cycle``, repeated to ten seconds at least, then home.
 
-        Steps of acceleration are spread until they jerk no more than the record did.
+        Steps of acceleration are smoothed to the jerk of the record.
         """
         parts, here, n = [np.full(self.samples(0.2), self.home)], self.home, 0
         while n * self.period < SHORTEST:
@@ -276,10 +272,10 @@ def _top(signals: Iterable[np.ndarray]) -> float:
 class NextExperiment:
     """What to record next: ``text``; with an ``excitation``, its reference ``q_ref`` (n,) [m] at ``period`` [s].
 
-    ``distance`` [N rms] is how far apart the models with one and the other of ``between`` are on it, fitted to one
+    ``distance`` [N rms] is the difference between the models with either effect of ``between`` on it, fitted to one
     another; ``over_noise`` the same in standard deviations of the noise, of which ``needed`` decide. ``compared`` has
-    the first two for every excitation that is safe, the best first, after one step of the fits only. ``file`` is where
-    the reference was written.
+    the first two for every safe excitation, the best first, after one step of the fits. ``file`` is the file of the
+    reference.
 
     >>> NextExperiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict()["file"]
     'experiment.csv'
@@ -297,7 +293,7 @@ class NextExperiment:
     file: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the reference itself."""
+        """The contract's document, without the reference itself."""
         return {
             "program": self.excitation,
             "text": self.text,
@@ -317,15 +313,15 @@ class NextExperiment:
         return np.arange(0 if self.q_ref is None else self.q_ref.size) * self.period
 
     def written(self) -> NextExperiment:
-        """The same, saying where the reference was written, if there is one."""
+        """The same with ``file`` set, if there is a reference."""
         return self if self.q_ref is None else replace(self, file=FILE)
 
 
 def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, list[str]]) -> NextExperiment | None:
     """What to record next: an excitation where findings have ``equivalents``, else what the first finding's file says.
 
-    ``named`` are the findings; too many equivalents leave a finding without a name and with the same question. None
-    where nothing is asked.
+    ``named`` are the findings; a finding with too many equivalents has no name, but its rivals count too. None where
+    there is neither.
     """
     best = outcome.best
     sets = [
@@ -336,16 +332,16 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
     ]
     rivals = [outcome.tried[key] for key in sets if key in outcome.tried]
     if rivals and not best.problem.follows:
-        left = best.cost / best.problem.samples("used")  # structure that nothing explains blurs like noise
+        cost = best.cost / best.problem.samples("used")  # unexplained structure hides a difference as noise does
         threshold = outcome.calibration.healthy.threshold
-        chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, left)))
+        chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, cost)))
         if chosen is not None:
             return chosen
     return NextExperiment(get_effect(kind_of(named[0])).experiment) if named else None
 
 
 def what_to_record(hypothesis: Hypothesis, over: list[str]) -> NextExperiment:
-    """The excitation that shows most of what a model leaves: the one that varies ``over``, what that depends on."""
+    """The excitation that varies ``over``, the quantities on which the residual of a model depends."""
     name, text = varies(over)
     if hypothesis.problem.follows:
         return NextExperiment(text)
@@ -357,7 +353,7 @@ def what_to_record(hypothesis: Hypothesis, over: list[str]) -> NextExperiment:
 
 
 def varies(over: list[str]) -> tuple[str, str]:
-    """The excitation that varies what the rest depends ``over``, and what to do, in words.
+    """Name of the excitation that varies the first of ``over``, on which the residual depends, and the instruction.
 
     >>> varies(["time"])[0]
     'identical_laps'
@@ -370,15 +366,15 @@ def varies(over: list[str]) -> tuple[str, str]:
 def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> NextExperiment | None:
     """The excitation on which the two of ``rivals`` that are nearest to one another are farthest apart.
 
-    ``threshold`` is the gain in whitened cost that counts; ``noise`` [standard deviations of the whitening] is what
-    the best of them leaves. None where no excitation is safe.
+    ``threshold`` is the whitened cost that a finding must gain; ``noise`` [standard deviations of the whitening] is the
+    residual of the best rival. None where no excitation is safe.
     """
     records = rivals[0].problem.records
-    seen = [_extremes(*rival.runs()) for rival in rivals]
+    extremes = [_extremes(*rival.runs()) for rival in rivals]
     envelope = replace(Envelope.of(records), follows=_following(rivals[0]))
     references = excitations(envelope)
-    looked_at = side_by_side(_nearest, [(rivals, seen, q_ref, noise) for q_ref in references.values()])
-    first = {name: found for name, found in zip(references, looked_at, strict=True) if found is not None}
+    looked_at = side_by_side(_nearest, [(rivals, extremes, q_ref, noise) for q_ref in references.values()])
+    first = {name: apart for name, apart in zip(references, looked_at, strict=True) if apart is not None}
     if not first:
         return None
 
@@ -390,18 +386,18 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Nex
     ranked = sorted(first, key=lambda name: -first[name].over_noise)
     chosen, best = ranked[0], converged(ranked[0])
     for name in ranked[1:REFITTED]:
-        # Fitting on can only bring the rivals closer: what is farther now than they could be, stays so.
+        # Further steps only bring rivals closer: the best stays best if it exceeds the others' distance after one step.
         if best.over_noise >= first[name].over_noise:
             break
-        found = converged(name)
-        if found.over_noise > best.over_noise:
-            chosen, best = name, found
+        further = converged(name)
+        if further.over_noise > best.over_noise:
+            chosen, best = name, further
     needed = rules.LUCK + float(np.sqrt(rules.LUCK**2 + threshold))  # D^2 - 2 LUCK D = threshold
-    decides, (one, other) = best.over_noise >= needed, best.effects
+    decides, (effect, other) = best.over_noise >= needed, best.effects
     return NextExperiment(
         text=_text(chosen, best, needed, references[chosen].size * envelope.period),
         excitation=chosen if decides else None,
-        between=(one.name, other.name),
+        between=(effect.name, other.name),
         distance=best.distance,
         over_noise=best.over_noise,
         needed=needed,
@@ -416,7 +412,7 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Nex
 
 @dataclass(frozen=True)
 class _Apart:
-    """How far two models are apart on an excitation, [N rms] and in standard deviations of the noise."""
+    """Distance between two models on an excitation, [N rms] and in standard deviations of the noise."""
 
     pair: tuple[Fit, Fit]
     distance: float
@@ -425,27 +421,27 @@ class _Apart:
     @property
     def effects(self) -> tuple[Effect, Effect]:
         """The effects in which the two differ."""
-        one, other = ({effect.name: effect for effect in fitted.model.effects} for fitted in self.pair)
-        return next(one[name] for name in one if name not in other), next(other[n] for n in other if n not in one)
+        own, other = ({effect.name: effect for effect in fitted.model.effects} for fitted in self.pair)
+        return next(own[name] for name in own if name not in other), next(other[n] for n in other if n not in own)
 
 
-def _nearest(rivals: tuple[Fit, ...], seen: list[np.ndarray], q_ref: np.ndarray, noise: float) -> _Apart | None:
+def _nearest(rivals: tuple[Fit, ...], extremes: list[np.ndarray], q_ref: np.ndarray, noise: float) -> _Apart | None:
     """The two rivals nearest to one another on ``q_ref``; None where one of them makes it unsafe."""
-    if not all(_safe(rival, q_ref, limits) for rival, limits in zip(rivals, seen, strict=True)):
+    if not all(_safe(rival, q_ref, limits) for rival, limits in zip(rivals, extremes, strict=True)):
         return None
     pairs = [pair for pair in combinations(rivals, 2) if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2]
-    found = [replace(_apart(*_directions(pair)[0], q_ref, noise, 1), pair=pair) for pair in pairs]
-    return min(found, key=lambda apart: apart.over_noise)
+    distances = [replace(_apart(*_directions(pair)[0], q_ref, noise, 1), pair=pair) for pair in pairs]
+    return min(distances, key=lambda apart: apart.over_noise)
 
 
 def _directions(pair: tuple[Fit, Fit]) -> list[tuple[Fit, Fit]]:
-    """Pairs (machine, rival fitted to it): both ways, but bristles, a hundred times slower, only as the machine."""
+    """Pairs (machine, rival fitted to it), both ways; a model with bristles, slow to simulate, only as the machine."""
     both = [pair, pair[::-1]]
     return [way for way in both if not any(effect.takes_dry for effect in way[1].model.effects)] or both
 
 
 def _apart(machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:
-    """Fit ``rival`` to what ``machine`` does on ``q_ref``, its numbers held by what the records know of them."""
+    """Fit ``rival`` to the simulation of ``machine`` on ``q_ref``, its parameters held by their covariance."""
     force = machine.simulate(0, q_ref=q_ref).force
     start, slots, known = _one_record(rival)
 
@@ -457,14 +453,14 @@ def _apart(machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int
         return np.concatenate((innovations, known @ (model.vector(slots) - at) / noise))
 
     at = start.vector(slots)
-    found = descend(start, slots, residual, steps)
-    return _Apart((machine, rival), float(np.std(missed(found.model))), float(np.sqrt(found.cost)) / noise)
+    descent = descend(start, slots, residual, steps)
+    return _Apart((machine, rival), float(np.std(missed(descent.model))), float(np.sqrt(descent.cost)) / noise)
 
 
 def _one_record(fitted: Fit) -> tuple[Candidate, tuple[Slot, ...], np.ndarray]:
-    """The model of ``fitted`` with one record's numbers, its free numbers (k,), and the root (m, k) of what is known.
+    """The model of ``fitted`` on one record, its free slots (k,), and a square root (m, k) of their information.
 
-    What belongs to a record, such as the phase of a ripple, is not known for the next.
+    Parameters of one record, such as the phase of a ripple, are unknown on the next.
     """
     model = replace(fitted.model, values=tuple(v[:1] for v in fitted.model.values))
     slots = tuple(slot for slot in fitted.slots if slot.record in (None, 0))
@@ -479,7 +475,7 @@ def _one_record(fitted: Fit) -> tuple[Candidate, tuple[Slot, ...], np.ndarray]:
 
 
 def _following(hypothesis: Hypothesis) -> Callable[[np.ndarray], np.ndarray]:
-    """Gain (n,) from reference to position over angular frequencies (n,) [rad/s], dry friction and effects aside."""
+    """Gain (n,) from reference to position over angular frequencies (n,) [rad/s], without dry friction and effects."""
     pulse = np.zeros(8192)
     pulse[1] = PULSE
     mass, viscous, *_ = hypothesis.model.baseline
@@ -491,7 +487,7 @@ def _following(hypothesis: Hypothesis) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def _extremes(*runs: Run) -> np.ndarray:
-    """Highest and lowest position [m], the latter negative, largest speed [m/s], acceleration [m/s^2], voltage [V]."""
+    """Largest q and -q [m], |v| [m/s], step of v per sample [m/s] and |u| [V] of ``runs``, (5,)."""
     return np.max(
         [
             (run.position.max(), -run.position.min(), *(np.abs(x).max() for x in (run.v, np.diff(run.v), run.u)))
@@ -501,24 +497,24 @@ def _extremes(*runs: Run) -> np.ndarray:
     )
 
 
-def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, seen: np.ndarray) -> bool:
-    """Whether a model goes on ``q_ref`` no farther, faster or harder than ``seen``, what it does on the records."""
+def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, limits: np.ndarray) -> bool:
+    """Whether a model stays within its :func:`_extremes` ``limits`` of the records on ``q_ref``, with some slack."""
     try:
-        asked = _extremes(hypothesis.simulate(0, q_ref=q_ref))
+        reached = _extremes(hypothesis.simulate(0, q_ref=q_ref))
     except SimulationError:
         return False
-    room = rules.SLACK * np.array([seen[0] + seen[1], seen[0] + seen[1], *seen[2:]])
-    return bool(np.all(asked <= seen + room))
+    room = rules.SLACK * np.array([limits[0] + limits[1], limits[0] + limits[1], *limits[2:]])
+    return bool(np.all(reached <= limits + room))
 
 
 def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str:
-    one, other = apart.effects
-    names = f"{inside(one.label)} from {inside(other.label)}"
+    effect, other = apart.effects
+    names = f"{inside(effect.label)} from {inside(other.label)}"
     far = f"{apart.distance:.2g} N rms and {apart.over_noise:.1f} standard deviations of the noise"
     if apart.over_noise < needed:
         return (
             f"no motion within what the records show tells {names}: at best ({instruction(excitation)}) they are {far} "
-            f"apart, where {needed:.1f} decide; beyond it, {one.experiment}"
+            f"apart, where {needed:.1f} decide; beyond it, {effect.experiment}"
         )
     return (
         f"{instruction(excitation)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} "

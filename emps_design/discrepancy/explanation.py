@@ -1,12 +1,9 @@
-"""The last stage: a validated outcome as a diagnosis, with places, pictures, tables, words and the next experiment.
+"""The last stage: from a validated outcome to a diagnosis with findings, views, tables and the next experiment.
 
-The force that one effect of a fitted model contributes, free of noise: simulated with it, judged without it.
-
-One more view of excited records: their frequency response beside the extended model, and the masses that fit it.
-
-The accepted effects: where each acts, its numbers and their deviations, and the gap without it and with it.
-
-What could not be excluded: the smallest size at which each effect would have been a finding on these records.
+A finding says where its effect acts, its parameters and their deviations, and the gap without it and with it. The force
+of an effect is free of noise: the model is simulated with it, and its missing force computed without it. Of effects not
+found, the answer gives the smallest size that would have been a finding. Excited records are also compared by their
+frequency response.
 """
 
 from __future__ import annotations
@@ -34,15 +31,21 @@ from emps_design.discrepancy.residual_views import (
     SPECTRAL,
     Extent,
     View,
-    described,
     extent,
     shown,
     spectrum_over_time,
     views,
+    where_document,
 )  # fmt: skip
 from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.starts import Start, Tangent, tangent
-from emps_design.discrepancy.unexplained import ASSUMPTIONS, begun_earlier, calibration_in_words, unexplained, warnings
+from emps_design.discrepancy.unexplained import (
+    ASSUMPTIONS,
+    calibration_in_words,
+    earlier_instants,
+    unexplained,
+    warnings,
+)
 from emps_design.discrepancy.unknown_force import MissingForce, missing_force
 from emps_design.discrepancy.verdict import Validation, wrong_numbers
 from emps_design.effects import Effect, Parameter, get_effect, kind_of
@@ -54,30 +57,30 @@ from emps_design.identification.model import LUMP
 from emps_design.quantities import display_unit, inside
 from emps_design.records import Record
 
-DRAWS = 19  # of the parameters: with the fitted ones, what they span holds nine tenths
-ELSEWHERE = 0.2  # of the squared force away from reversals, from which on that part is the place to look
+DRAWS = 19  # of the parameters: with the fitted ones, their range is a 90 % interval
+ELSEWHERE = 0.2  # share of the squared force away from reversals from which only that part is used
 
 TRIED_STEPS, READJUSTING_STEPS = 1, 3  # of the fit without an effect: from either start, and from the better one
 
 ABSURD = 1e3  # times the typical size of a parameter
 HIDDEN = "any size: these records do not bring it out"
 NO_START = "not looked for: nothing in these records to start from"
-FAR = 300.0  # times a parameter that shapes an effect, where the effect has faded
-CLOSE = 1.1  # ratio to which the limit of what is seen is sought
+FAR = 300.0  # factor on a shape parameter at which the effect has faded
+CLOSE = 1.1  # ratio to which the limit of detection is bisected
 
 SHOWN_CANDIDATES = 10
-UNTOLD = {"value": None, "std": None}
-# The picture over the coordinate of an extent.
+UNDETERMINED = {"value": None, "std": None}
+# The quantity of the view for each coordinate of an extent.
 _OVER = {"reversals": "time from reversal", "speed": "velocity", "position": "position", "time": "time"}
 
 
 def contribution(hypothesis: Hypothesis, index: int, number: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Force (n,) [N] of effect ``index`` on record ``number``, and the samples (n,) bool to look at.
+    """Force (n,) [N] of effect ``index`` on record ``number``, and the samples (n,) bool to evaluate.
 
-    It is what the model without the effect, all other numbers as they are, would miss of the model with it; its median
-    is removed, because a constant force is the baseline's own. Of an effect of the controller, whose loop takes back
-    what it adds, it is the force of the added voltage. The samples leave reversals out where the effect acts elsewhere
-    too. Raises :class:`SimulationError` where the model cannot be simulated without the effect.
+    The force is the missing force of the model without the effect on a simulation with it; its median is removed,
+    because a constant force belongs to the baseline. Of an effect of the controller, which the loop counteracts, it is
+    the force of the added voltage. Reversals are left out where the effect acts elsewhere too. Raises
+    :class:`SimulationError` where the model cannot be simulated without the effect.
     """
     alone = hypothesis.only(number)
     problem, model = alone.problem, alone.model
@@ -87,9 +90,9 @@ def contribution(hypothesis: Hypothesis, index: int, number: int = 0) -> tuple[n
         return problem.axis.drive.gain * command_of(effect, values, record), used
     run = alone.run(0)
     played = replace(problem, records=(replace(record, q=run.q, u=run.u),))
-    seen = missing_force(Hypothesis(played, model.without(index)))[0]
-    force = seen.force - np.median(seen.force[used])
-    away = seen.away & used
+    missing = missing_force(Hypothesis(played, model.without(index)))[0]
+    force = missing.force - np.median(missing.force[used])
+    away = missing.away & used
     return force, away if np.sum(force[away] ** 2) > ELSEWHERE * np.sum(force[used] ** 2) else used
 
 
@@ -101,15 +104,15 @@ def most_exercised(hypothesis: Hypothesis, index: int) -> int:
     sizes = []
     for number in records:
         try:
-            force, seen = contribution(hypothesis, index, number)
-            sizes.append(float(np.std(force[seen])))
+            force, samples = contribution(hypothesis, index, number)
+            sizes.append(float(np.std(force[samples])))
         except SimulationError:  # unstable without the effect: it is needed here
             sizes.append(np.inf)
     return int(np.argmax(sizes))
 
 
-def drawn(fitted: Fit, index: int, seed: int = 0) -> list[Hypothesis]:
-    """Models with the numbers of effect ``index`` drawn from their covariance."""
+def parameter_draws(fitted: Fit, index: int, seed: int = 0) -> list[Hypothesis]:
+    """``DRAWS`` models with the parameters of effect ``index`` drawn from their covariance."""
     own = [i for i, slot in enumerate(fitted.slots) if slot.effect == index]
     slots, model = tuple(fitted.slots[i] for i in own), fitted.model
     size = np.array([slot.magnitude for slot in slots])
@@ -121,8 +124,8 @@ def drawn(fitted: Fit, index: int, seed: int = 0) -> list[Hypothesis]:
 
 
 def measured_response(records: Sequence[Record], axis: Axis) -> ResponseComparison | None:
-    """The response of the excited ``records`` beside ``axis``; None where none is, or not strongly enough."""
-    excited = [one for one in records if one.excitation is not None and np.ptp(one.excitation) > 0.0]
+    """Frequency response of the excited ``records`` beside that of ``axis``; None without enough excitation."""
+    excited = [record for record in records if record.excitation is not None and np.ptp(record.excitation) > 0.0]
     if not excited:
         return None
     try:
@@ -167,17 +170,17 @@ def _finding(validation: Validation, index: int) -> Finding:
         equivalents=tuple(dict.fromkeys(map(kind_of, validation.equivalents.get(effect.name, ())))),
         remedy=effect.remedy,
         note="; ".join(
-            [_note(outcome.calibration.preparation, effect.channel, record), *begun_earlier(validation, index)]
+            [_note(outcome.calibration.preparation, effect.channel, record), *earlier_instants(validation, index)]
         ),
     )
 
 
 def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0) -> float:
-    """Standard deviation of a number of ``fitted`` on ``record``, its baseline's with ``index`` -1.
+    """Standard deviation of a parameter of ``fitted`` on ``record``, of the baseline with ``index`` -1.
 
-    Of an instant, what covers all that leave as little. Else not less than the number moved since ``before``, the same
-    effects on the fitting strokes alone: where play bounces, what a tiny change of a number does to the force says
-    nothing of how well the record determines it.
+    Of an instant it covers all instants of equal cost. Otherwise it is at least the change since ``before``, the same
+    effects on the fitting strokes alone: where play bounces, the sensitivity to a small change does not tell how well
+    the record determines a parameter.
     """
     linear, in_time = fitted.std(index, place, record), deviation_in_time(fitted, index, place, record)
     if in_time > 0.0:
@@ -189,41 +192,41 @@ def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0)
 
 
 def _per_record(parameter: Parameter, values: np.ndarray) -> dict[str, Any]:
-    """What is added for a number that is not one and the same: whether by nature, and that of each record."""
+    """Entries of a parameter with a value per record: the flag, and the values where they differ."""
     entry: dict[str, Any] = {"per_record": True} if parameter.per_record else {}
     return entry | ({"values": values.tolist()} if np.ptp(values) > 0 else {})
 
 
 def _without(extended: Fit, index: int, first: Fit) -> Fit:
-    """The model without effect ``index``, the rest re-adjusted: against it stands what the effect itself is good for.
+    """The model without effect ``index``, refitted: the reference for the gain of the effect.
 
-    An effect may have taken a baseline number far from where it is alone, in the ``first`` model: both are tried for a
-    start, and the one goes on that leaves less after a step.
+    The effect may have moved a baseline parameter far from its value in the ``first`` model: both baselines are tried,
+    and the better one after a step is fitted further.
     """
     rest = extended.model.without(index)
     begins = (rest, replace(rest, baseline=first.model.baseline))
     tried = side_by_side(fit, [(extended.with_model(begin), "used", None, TRIED_STEPS) for begin in begins])
     runs = [fitted for fitted in tried if fitted.innovations]
-    if not runs:  # what does not run without the effect stands against the baseline alone
+    if not runs:  # no simulation without the effect: compare with the baseline
         return first
     return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=READJUSTING_STEPS)
 
 
 def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
-    """Where the force of effect ``index`` acts on record ``number``, with what its numbers' deviations leave open."""
+    """The contract's ``where`` of effect ``index`` on record ``number``, with confidence from drawn parameters."""
     record = fitted.problem.records[number]
 
-    def seen(hypothesis: Hypothesis) -> Extent | None:
+    def extent_of(hypothesis: Hypothesis) -> Extent | None:
         try:
             return extent(record, *contribution(hypothesis, index, number))
         except SimulationError:
-            return None  # numbers at which the model is unstable do not describe this machine
+            return None  # parameters at which the model is unstable do not describe this machine
 
-    tried = side_by_side(seen, [(hypothesis,) for hypothesis in (fitted, *drawn(fitted, index))])
-    found = [one for one in tried if one is not None]
-    if not found:  # nothing runs without the effect: it acts wherever the model moves
-        found.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
-    where = described(found[0], found[1:])
+    tried = side_by_side(extent_of, [(hypothesis,) for hypothesis in (fitted, *parameter_draws(fitted, index))])
+    regions = [region for region in tried if region is not None]
+    if not regions:  # no simulation without the effect: it acts wherever the model moves
+        regions.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
+    where = where_document(regions[0], regions[1:])
     return where if len(fitted.problem.records) == 1 else {**where, "record": record.name}
 
 
@@ -236,8 +239,8 @@ def _note(preparation: Preparation, channel: str, record: int) -> str:
     return f"seen in u minus the controller's law, noise {noise:.2g} mV; the force balance holds with it"
 
 
-def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[str, Any]]:
-    """A row for each effect that is not among ``found``: its size just seen, None where no size would have been."""
+def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[str, Any]]:
+    """A row for each effect not among ``named``: the smallest size that would have been found, None for no size."""
     baseline = calibration.baseline
     gain = max(calibration.healthy.threshold, rules.WORTH_AT_FLOOR * baseline.problem.samples("fit"))
     least = rules.AUDIBLE * calibration.floor.force
@@ -257,9 +260,9 @@ def not_excluded(calibration: Calibration, found: Sequence[str]) -> list[dict[st
         return {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text}
 
     library = calibration.preparation.library
-    absent = [effect for effect in library if effect.name not in found and not effect.after]
+    absent = [effect for effect in library if effect.name not in named and not effect.after]
     slowest_first = sorted(absent, key=lambda effect: bool(effect.linear))  # those that need simulations
-    rows = {one["effect"]: one for one in side_by_side(row, [(effect,) for effect in slowest_first])}
+    rows = {entry["effect"]: entry for entry in side_by_side(row, [(effect,) for effect in slowest_first])}
     return [rows[effect.name] for effect in absent]
 
 
@@ -269,7 +272,7 @@ def _rounded(parameter: Parameter, size: float) -> str:
 
 
 def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
-    """The largest force that may be there unseen, for a sentence; None where no row tells one."""
+    """The largest force in ``rows`` that may be present undetected, for a sentence; None where none is a force."""
     bounded = [row for row in rows if row["size"] is not None and row["unit"] == "N"]
     if not bounded:
         return None
@@ -278,12 +281,12 @@ def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
 
 
 def _by_amplitude(starts: Sequence[Start], gain: float, least: float) -> tuple[Parameter, float | None]:
-    """The amplitude of an effect that is linear in it, from its signatures; a force is ``least`` [N] at least."""
+    """Detectable amplitude of an effect that is linear in it, by its signatures; of a force at least ``least`` [N]."""
     effect = starts[0].model.effects[-1]
     place = [p.name for p in effect.parameters].index(effect.linear[0])
     parameter = effect.parameters[place]
     amplitudes = [float(np.abs(s.model.values[-1][:, place]).max() * np.sqrt(gain) / s.size) for s in starts]
-    # Some shapes hide completely, such as an event at the record's end, or a speed that it does not have.
+    # Some shapes are never excited, such as an event at the record's end, or a speed that it does not reach.
     most = min(ABSURD * parameter.scale if parameter.scale else np.inf, parameter.upper)
     sane = [
         amplitude
@@ -299,25 +302,25 @@ def _by_amplitude(starts: Sequence[Start], gain: float, least: float) -> tuple[P
 def _by_shape(
     baseline: Fit, absorbed: Tangent, starts: Sequence[Start], gain: float
 ) -> tuple[Parameter, float | None, bool]:
-    """The first parameter of an effect without an amplitude, moved from the faintest shape seen until it is not.
+    """Detectable first parameter of an effect without an amplitude: bisected from the faintest visible shape.
 
-    Judged against the end at which the effect fades, which may be another effect: play without its gap is an elastic
-    coupling. Also returns whether the effect fades as the parameter grows, as a stiffness does.
+    Compared with the limit at which the effect fades, which may be another effect: play without its gap is an elastic
+    coupling. Also returns whether the effect fades as the parameter grows, as with a stiffness.
     """
     effect = starts[0].model.effects[-1]
     parameter = effect.parameters[0]
-    seen = [start for start in starts if start.size**2 >= gain]
-    if not seen:
+    visible = [start for start in starts if start.size**2 >= gain]
+    if not visible:
         return parameter, None, False
-    faintest = min(seen, key=lambda start: start.size).model.values[-1]
+    faintest = min(visible, key=lambda start: start.size).model.values[-1]
 
     def innovations(value: float) -> np.ndarray:
         values = faintest.copy()
         values[:, 0] = value
         return baseline.with_model(baseline.model.with_effect(effect, values)).residual("fit")
 
-    def apart(one: np.ndarray, other: np.ndarray) -> float:
-        return float(np.sum(absorbed.free(one - other) ** 2))
+    def apart(signal: np.ndarray, other: np.ndarray) -> float:
+        return float(np.sum(absorbed.free(signal - other) ** 2))
 
     value = float(faintest[0, 0])
     try:
@@ -336,9 +339,9 @@ def _by_shape(
 
 
 def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest | None = None) -> Diagnosis:
-    """Say what a validation means: what is missing and where, how much of the gap is closed, what to record next.
+    """The diagnosis of a validation: what is missing and where, how much of the gap is closed, what to record next.
 
-    ``rest`` says what was not searched, and what is left there; ``closest`` what follows most closely, where asked for.
+    ``rest`` are warnings on data not searched; ``closest`` is the closest model, where requested.
     """
     outcome, problem = validation.outcome, validation.extended.problem
     held_out = outcome.calibration.preparation.held_out
@@ -347,8 +350,8 @@ def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.calibration.floor, problem.splits[most].used
     limit = problem.axis.drive.command_limit
-    details, found, drawn = side_by_side(  # the longest first
-        lambda work, *given: work(*given),
+    details, named, drawn = side_by_side(  # the longest first
+        lambda work, *arguments: work(*arguments),
         [(_details, validation, before), (findings, validation), (views, before, after, used, floor.force_60hz, limit)],
     )
     details["warnings"] += rest
@@ -356,13 +359,13 @@ def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest
     extended = judged.extended.to_axis(problem.axis)
     return Diagnosis(
         verdict=validation.verdict,
-        findings=found,
+        findings=named,
         axis=extended,
         noise=floor,
         train=validation.train.gap,
         holdout=None if validation.held_out is None else validation.held_out.gap,
         trace=replace(judged.prediction, window=None if held_out is None else held_out.window),
-        views=marked(drawn, found),
+        views=with_marks(drawn, named),
         details=details,
         experiment=_experiment(validation, details.get("unexplained")),
         response=measured_response(outcome.calibration.preparation.records, extended),
@@ -370,36 +373,36 @@ def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest
     )
 
 
-def _experiment(validation: Validation, left: dict[str, Any] | None) -> NextExperiment | None:
-    """What to record next: what shows more of the unexplained, or tells equivalents apart where these are too many."""
+def _experiment(validation: Validation, rest: dict[str, Any] | None) -> NextExperiment | None:
+    """What to record next: to explain the ``rest``, or to separate equivalents where they are too many."""
     outcome, extended = validation.outcome, validation.extended
-    asked = any(len(others) > rules.MOST_EQUIVALENTS for others in validation.equivalents.values())
-    if left is not None and not asked and not outcome.interrupted:
-        return what_to_record(extended, left["over"])
+    too_many = any(len(others) > rules.MOST_EQUIVALENTS for others in validation.equivalents.values())
+    if rest is not None and not too_many and not outcome.interrupted:
+        return what_to_record(extended, rest["over"])
     return experiment(outcome, extended.model.names, validation.equivalents)
 
 
-def marked(drawn: list[View], found: tuple[Finding, ...]) -> tuple[View, ...]:
-    """The ``drawn`` residuals with the extents of the findings; first is what tells where the first of them acts.
+def with_marks(drawn: list[View], named: tuple[Finding, ...]) -> tuple[View, ...]:
+    """The views ``drawn`` with the extents of the findings marked; first the view of where the first finding acts.
 
-    Where it acts everywhere, the one that shows most comes first.
+    Where it acts everywhere, the view that shows most of the gap comes first.
     """
     pictures = []
     for view in drawn:
         marks: list[Any] = []
-        for finding in found:
+        for finding in named:
             place = finding.where.get(view.quantity)
             if place is not None and view.quantity not in SPECTRAL:
                 marks += map(tuple, place if view.quantity == "time" else [place])
         pictures.append(replace(view, marks=tuple(marks)))
     head, tail = pictures[:-1], pictures[-1:]
-    told = _OVER.get(found[0].where["place"]) if found else None
-    head.sort(key=lambda view: (not (view.quantity == told and shown(view) > 0.0), -shown(view)))
+    coordinate = _OVER.get(named[0].where["place"]) if named else None
+    head.sort(key=lambda view: (not (view.quantity == coordinate and shown(view) > 0.0), -shown(view)))
     return (*head, *tail)
 
 
 def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
-    """What the report shows besides the contract's keys; ``missed`` is what the baseline misses of the record shown."""
+    """Further entries of the document; ``missed`` is the baseline's missing force on the record shown."""
     outcome, baseline, extended = validation.outcome, validation.baseline, validation.extended
     calibration, axis = outcome.calibration, extended.problem.axis
     unseen = not_excluded(calibration, extended.model.names)
@@ -417,9 +420,9 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
     if validation.verdict in ("nothing-missing", "parameters-only"):
         shown["least_visible"] = least_visible(unseen)
     if validation.verdict == "parameters-only":
-        given = axis.mechanics.array()
+        axis_numbers = axis.mechanics.array()
         shown["changed"] = ", ".join(
-            f"{q.name.replace('_', ' ')} {given[i]:.5g} -> {baseline.model.baseline[i]:.5g} {q.unit}"
+            f"{q.name.replace('_', ' ')} {axis_numbers[i]:.5g} -> {baseline.model.baseline[i]:.5g} {q.unit}"
             for i, q in enumerate(BASELINE)
             if i in wrong_numbers(baseline)
         )
@@ -440,7 +443,7 @@ def _records(validation: Validation) -> list[dict[str, Any]]:
 
 
 def _candidates(validation: Validation) -> list[dict[str, Any]]:
-    """The effects by what each explains alone on top of the baseline."""
+    """Rows of the effects by the gain of each alone on top of the baseline."""
     outcome = validation.outcome
     base, to_beat = outcome.path[0], outcome.calibration.judge.to_beat(outcome.path[0])
     ranked = sorted(outcome.alone.items(), key=lambda pair: -pair[1])
@@ -464,27 +467,27 @@ def _candidates(validation: Validation) -> list[dict[str, Any]]:
 
 
 def _parameters(validation: Validation) -> dict[str, Any]:
-    """The baseline's numbers: the axis file's, fitted alone, and beside the effects; None where one way tells none."""
+    """Baseline parameters of the axis file, fitted alone, and beside the effects; None where not determined."""
     direction = validation.outcome.calibration.preparation.direction
-    given = validation.extended.problem.axis.mechanics.array()
+    axis_numbers = validation.extended.problem.axis.mechanics.array()
     pairs = {
         "baseline": (validation.baseline, validation.outcome.path[0]),
         "extended": (validation.extended, validation.outcome.best),
     }
 
     def entry(unit: str, weights: np.ndarray) -> dict[str, Any]:
-        """The sum of the baseline's numbers with ``weights`` (4,), of which one is free."""
+        """The entry of the baseline parameters' sum with ``weights`` (4,); deviation of the first."""
         place = int(np.flatnonzero(weights)[0])
         fitted = {
             name: {"value": float(now.model.baseline @ weights), "std": deviation(now, before, -1, place)}
             for name, (now, before) in pairs.items()
         }
-        return {"unit": unit, "axis": float(given @ weights), **fitted}
+        return {"unit": unit, "axis": float(axis_numbers @ weights), **fitted}
 
     every = np.eye(len(BASELINE))
     table = {quantity.name: entry(quantity.unit, row) for quantity, row in zip(BASELINE, every, strict=True)}
     if direction:
         for place in (COULOMB, OFFSET):
-            table[BASELINE[place].name] |= dict.fromkeys(pairs, UNTOLD)
+            table[BASELINE[place].name] |= dict.fromkeys(pairs, UNDETERMINED)
         table[LUMP.name] = entry(LUMP.unit, every[COULOMB] + direction * every[OFFSET])
     return table

@@ -1,7 +1,7 @@
 """One effect more: fits of every effect of the library on top of a model, and a fit brought to convergence.
 
-Poor fits are given up early (successive halving): many starts get a step of the new effect's own numbers, those that
-may still lead a short fit of them, few a fit of everything.
+Poor fits are given up early (successive halving): many starts get one step of the new effect's own parameters, the
+better ones a short fit of these, and few a fit of all parameters.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from emps_design.discrepancy.unknown_force import missing_force
 from emps_design.effects import Effect
 from emps_design.effects.two_mass import has_play
 
-REFINED = 2  # starts of each effect that are worth a short fit
+REFINED = 2  # starts of each effect that get a short fit
 SHORT_STEPS = 4
-FIRST_STEPS = 1  # of them, after which only those go on that may still be worth a full fit
-SIMPLEX = 60  # simulations that a first way down may take where play makes the cost rough
-FINALISTS = 4  # effects worth a full fit
-PROMISED = 2  # of the first-order gains, worth one whatever the short fit says
+FIRST_STEPS = 1  # of them, after which only starts that may still win continue
+SIMPLEX = 60  # simulations of a first descent where play makes the cost rough
+FINALISTS = 4  # effects that get a full fit
+PROMISED = 2  # best first-order gains, which get a full fit whatever the short fit says
 BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
 TRIED_STEPS = 4  # of every fit of an effect with many starts, or of another shape of it
-PROMISING = 2  # of them go on
-REVISED = 4  # other shapes of an effect that are fitted when it is accepted
+PROMISING = 2  # of them continue
+REVISED = 4  # other shapes of an accepted effect that are fitted
 MOST_FITS = 8  # one after the other until they have converged
 
 
@@ -38,18 +38,18 @@ def extended(
 ) -> tuple[list[Fit], dict[str, float]]:
     """:func:`extensions` of ``current`` by the effects of ``library``.
 
-    Where its model lets noise grow they are also looked for with that weighed, and then fitted as everything else is.
+    Where the model amplifies noise, the effects are also searched with these samples weighted down.
     """
-    fits, gains = _looked_for(current, library, rival)
+    fits, gains = _extensions_of(current, library, rival)
     quieter = weighed(current)
     if quieter is not None:
-        found, _ = _looked_for(quieter, library, rival)
-        again = [(current.with_model(one.model), "fit", one.slots) for one in found if one.innovations]
+        quiet_fits, _ = _extensions_of(quieter, library, rival)
+        again = [(current.with_model(fitted.model), "fit", fitted.slots) for fitted in quiet_fits if fitted.innovations]
         fits = sorted((*fits, *side_by_side(fit, again)), key=lambda f: f.cost)
     return fits, gains
 
 
-def _looked_for(current: Fit, library: tuple[Effect, ...], rival: float) -> tuple[list[Fit], dict[str, float]]:
+def _extensions_of(current: Fit, library: tuple[Effect, ...], rival: float) -> tuple[list[Fit], dict[str, float]]:
     absorbed = tangent(current)
     return extensions(current, screen(current, library, absorbed), absorbed, rival)
 
@@ -57,28 +57,28 @@ def _looked_for(current: Fit, library: tuple[Effect, ...], rival: float) -> tupl
 def extensions(
     current: Fit, screened: list[list[Start]], absorbed: Tangent, rival: float = rules.RIVAL
 ) -> tuple[list[Fit], dict[str, float]]:
-    """Fit those of the ``screened`` starts on top of ``current`` that promise a gain; best first.
+    """Fit the ``screened`` starts on top of ``current`` that promise a gain; best first.
 
-    A short fit moves the new effect alone and lets the tangent stand for what the rest absorbs; the best few effects
-    are then fitted with everything free, those that gain ``rival`` of what the best one gains there or to first order.
-    Also returns what each effect gained in its short fit [whitened cost].
+    A short fit moves the new effect alone, with the tangent for what the rest absorbs; the best few effects, with at
+    least the share ``rival`` of the best gain there or to first order, are then fitted with all parameters free. Also
+    returns the gain of each effect in its short fit [whitened cost].
     """
-    best = max((found[0].gain for found in screened), default=0.0)
+    best = max((group[0].gain for group in screened), default=0.0)
     least = max(rules.SMALLEST_GAIN, rules.WORTH_FITTING * best)
-    worth = [start for found in screened for start in found[:REFINED] if start.gain >= least]
+    worth = [start for group in screened for start in group[:REFINED] if start.gain >= least]
     before = float(absorbed.residual @ absorbed.residual)
     leading: dict[str, Descent] = {}
     for short in _short_fits(worth, absorbed, before, rules.MAY_RIVAL * rival):
         name = short.model.names[-1]
         if name not in leading or short.cost < leading[name].cost:
             leading[name] = short
-    gains = {found[0].model.names[-1]: found[0].gain for found in screened}
+    gains = {group[0].model.names[-1]: group[0].gain for group in screened}
     gains |= {name: before - short.cost for name, short in leading.items()}
     shorts = [(short.cost, current.with_model(short.model)) for short in leading.values()]
     ranked = sorted(((cost, short) for cost, short in shorts if plausible(short)), key=lambda pair: pair[0])
-    # Where an effect takes the place of much of the baseline, the tangent misleads its short fit: fitted all the same.
-    promised = sorted(screened, key=lambda found: -found[0].gain)[:PROMISED]
-    anyway = {found[0].model.names[-1] for found in promised if found[0].gain >= rival * best}
+    # Where an effect replaces much of the baseline, the tangent misleads its short fit: it is fitted all the same.
+    promised = sorted(screened, key=lambda group: -group[0].gain)[:PROMISED]
+    anyway = {group[0].model.names[-1] for group in promised if group[0].gain >= rival * best}
     begins = [
         short
         for place, (cost, short) in enumerate(ranked)
@@ -86,17 +86,17 @@ def extensions(
     ]
     if bent(current, before / absorbed.residual.size):
         # A baseline bent by the gap leads short fits astray: the leading effects are fitted from several starts.
-        leaders = sorted(screened, key=lambda found: -found[0].gain)[:BENT_EFFECTS]
-        more = [start.hypothesis for found in leaders for start in found[:BENT_STARTS]]
+        leaders = sorted(screened, key=lambda group: -group[0].gain)[:BENT_EFFECTS]
+        more = [start.hypothesis for group in leaders for start in group[:BENT_STARTS]]
         begins += [hypothesis for hypothesis in more if plausible(hypothesis)]
     fits = side_by_side(_fitted, [(begin,) for begin in _promising(begins)])
     return sorted(fits, key=lambda f: f.cost), gains
 
 
 def freed(fitted: Fit) -> Fit:
-    """``fitted`` without the effects whose physics ends on a bound once the numbers that were held are free again.
+    """``fitted`` with all parameters free, without the effects that then end on a bound.
 
-    The loop may have been stable with one of them only: then the next goes too.
+    The loop may have been stable only with one of them: then the next effect is removed too.
     """
     while len(fitted.slots) < len(fitted.model.slots()):
         again = fit(fitted)
@@ -108,19 +108,19 @@ def freed(fitted: Fit) -> Fit:
 
 
 def converged(fitted: Fit) -> Fit:
-    """``fitted`` until it pays no more, other shapes of its last effect tried; as it was where that leaves its physics.
+    """``fitted`` converged, other shapes of its last effect tried; unchanged where that is inadmissible.
 
-    A fit that has not converged looks like another effect.
+    A fit that has not converged looks as if another effect were missing.
     """
     further = _revised(_settled(fitted))
     if fitted.surveyed and further.cost > (1 - rules.STILL_PAYS) * fitted.cost:
         return fitted
-    further = play_anew(play_anew(further))  # the second time far around where the first one ended
+    further = play_anew(play_anew(further))  # the second time around the end of the first
     return further if admissible(further) else fitted
 
 
 def _short_fits(begins: list[Start], absorbed: Tangent, before: float, share: float) -> list[Descent]:
-    """Short fits of ``begins``, of some steps where the first one or first order gains ``share`` of the best.
+    """Short fits of ``begins``, continued where the first step or first order gains ``share`` of the best gain.
 
     ``before`` is the cost without any of them.
     """
@@ -138,43 +138,45 @@ def _short_fit(start: Start, begin: Candidate, absorbed: Tangent, steps: int) ->
     own = tuple(slot for slot in begin.slots() if slot.effect == len(begin.effects) - 1)
     free = absorbed.free if start.anchored else lambda residual: residual
 
-    def left(model: Candidate) -> np.ndarray:
+    def free_residual(model: Candidate) -> np.ndarray:
         return free(start.hypothesis.with_model(model).residual("fit"))
 
     if begin is start.model and has_play(begin.effects[-1]):
-        begin = simplex(begin, own, left, SIMPLEX)
-    return descend(begin, own, left, steps)
+        begin = simplex(begin, own, free_residual, SIMPLEX)
+    return descend(begin, own, free_residual, steps)
 
 
 def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
-    """Those of ``begins`` whose fits go on: of an effect with many starts the best few after some steps."""
+    """Those of ``begins`` to fit further: of an effect with many starts the best few after some steps."""
     alike: dict[tuple[str, ...], list[Hypothesis]] = {}
-    for one in begins:
-        alike.setdefault(one.model.names, []).append(one)
-    found: list[Hypothesis] = []
-    for ones in alike.values():
-        if len(ones) > PROMISING:
-            found += sorted(_tried(ones), key=lambda f: f.cost)[:PROMISING]
+    for begin in begins:
+        alike.setdefault(begin.model.names, []).append(begin)
+    promising: list[Hypothesis] = []
+    for group in alike.values():
+        if len(group) > PROMISING:
+            promising += sorted(_tried(group), key=lambda f: f.cost)[:PROMISING]
         else:
-            found += ones
-    return found
+            promising += group
+    return promising
 
 
 def _fitted(begin: Hypothesis) -> Fit:
-    """Fit ``begin``; numbers that end on a bound are held as they were, and the rest fitted again.
+    """Fit ``begin``; parameters that end on a bound are held at their start, and the rest fitted again.
 
-    While something else is missing, a number may make up for it: a resonance loses all its damping to a delay that is
-    not known yet. The physics need not end there; :func:`freed` sees to it at the end.
+    While something else is missing, a parameter may compensate for it: a resonance loses all its damping to a delay
+    that is not in the model yet. :func:`freed` frees the held parameters at the end.
     """
     ended = fit(begin)
     met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
     if met:
         ended = fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
-    return ended if has_play(begin.model.effects[-1]) else play_anew(ended)  # the last one's short fit began with that
+    return (
+        ended if has_play(begin.model.effects[-1]) else play_anew(ended)
+    )  # the short fit of the last effect began with that
 
 
 def _settled(fitted: Fit) -> Fit:
-    """Fit on until it pays no more."""
+    """Fit until the cost falls by less than ``rules.STILL_PAYS``."""
     for _ in range(MOST_FITS):
         further = fit(fitted)
         if further.cost > (1 - rules.STILL_PAYS) * fitted.cost:
@@ -184,9 +186,9 @@ def _settled(fitted: Fit) -> Fit:
 
 
 def _revised(fitted: Fit) -> Fit:
-    """Look again at form and shapes of the effect found last, now that all numbers fit it.
+    """Try other forms and shapes of the last effect, now that all parameters fit it.
 
-    A descent does not cross to another exponent, nor to another stroke of the time at which something happened.
+    A descent does not reach another exponent, nor an instant in another stroke.
     """
     forms = [form for form in _in_reach(_forms(fitted), fitted) if admissible(form)]
     paying = [form for form in forms if form.cost < (1 - rules.STILL_PAYS) * fitted.cost]
@@ -218,21 +220,21 @@ def _other_shapes(without: Fit, effect: Effect, values: np.ndarray, shapes: list
 
 
 def _in_reach(begins: list[Hypothesis], fitted: Fit) -> list[Fit]:
-    """Fits of those of ``begins`` that come near to what ``fitted`` leaves in their first steps."""
-    return side_by_side(fit, [(one,) for one in _tried(begins) if one.cost < rules.IN_REACH * fitted.cost])
+    """Fits of those of ``begins`` that come close to the cost of ``fitted`` in their first steps."""
+    return side_by_side(fit, [(trial,) for trial in _tried(begins) if trial.cost < rules.IN_REACH * fitted.cost])
 
 
 def _tried(begins: list[Hypothesis]) -> list[Fit]:
     """The first steps of a fit of each of ``begins``."""
-    return side_by_side(fit, [(one, "fit", None, TRIED_STEPS) for one in begins])
+    return side_by_side(fit, [(begin, "fit", None, TRIED_STEPS) for begin in begins])
 
 
 def _forms(fitted: Fit) -> list[Hypothesis]:
-    """The model of ``fitted`` with its numbers, in other forms than it has.
+    """The model of ``fitted`` in other forms, with the same parameters.
 
-    Of the effect found last, and where structure is left of what any effect still has as by default.
+    Forms of the last effect, and where structure is left, of any parameter at its default.
     """
-    model, found = fitted.model, list[Hypothesis]()
+    model, forms = fitted.model, list[Hypothesis]()
     structure = fitted.cost > rules.AT_FLOOR * fitted.problem.samples("used")
     for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
         for place, parameter in enumerate(effect.parameters):
@@ -245,5 +247,5 @@ def _forms(fitted: Fit) -> list[Hypothesis]:
                 row = values.copy()
                 row[:, place] = other
                 changed = replace(model, values=(*model.values[:index], row, *model.values[index + 1 :]))
-                found.append(fitted.with_model(changed))
-    return found
+                forms.append(fitted.with_model(changed))
+    return forms

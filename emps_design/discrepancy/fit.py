@@ -1,4 +1,4 @@
-"""A hypothesis fitted to its records in closed loop, what its numbers do, and whether they still mean what they say."""
+"""A hypothesis fitted to its records in closed loop, its sensitivities, and checks that its parameters are physical."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from emps_design.effects.two_mass import GAP, has_play
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 
-NOISES = 3  # that are put on the simulated carriage
-STEP = 1e-3  # finite difference of a sensitivity, in magnitudes of the number
+NOISES = 3  # draws of noise on the simulated carriage
+STEP = 1e-3  # finite difference of a sensitivity, in magnitudes of the parameter
 
 
 @dataclass(frozen=True)
 class Fit(Hypothesis):
-    """A fitted model: its whitened residuals, and the covariance (k, k) of the numbers in ``slots``.
+    """A fitted model: its whitened residuals, and the covariance (k, k) of the parameters in ``slots``.
 
-    ``surveyed`` says that surfaces through its neighbourhood, as :func:`play_anew` lays them, lead nowhere better.
+    ``surveyed``: the response surfaces of :func:`play_anew` found nothing better in its neighbourhood.
     """
 
     slots: tuple[Slot, ...]
@@ -42,39 +42,39 @@ class Fit(Hypothesis):
 
     @property
     def criterion(self) -> float:
-        """The cost and what its numbers gain by chance (Bayesian information criterion, known noise)."""
+        """The cost plus a penalty for its parameters (Bayesian information criterion, known noise)."""
         return self.cost + len(self.model.slots()) * float(np.log(self.problem.samples("used")))
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """The innovations, one array (n,) per record."""
-        return self.innovations or super().whitened()  # which says why the model cannot be simulated
+        return self.innovations or super().whitened()  # raises with the reason where the model cannot be simulated
 
     @cached_property
     def loudness(self) -> tuple[np.ndarray, ...]:
-        """How large the noise gets in the innovations, where that is more than its own size, else 1; (n,) per record.
+        """Gain from noise to innovations, at least 1; (n,) per record.
 
-        At a motor's limit, or in play, a loop may let noise grow into bursts of which every one is another. Noise on
-        the simulated carriage tells when.
+        At a motor's limit, or in play, a loop may amplify noise into bursts that never repeat. Simulations with noise
+        on the carriage show when.
         """
         from scipy.ndimage import uniform_filter1d
 
         quiet = self.whitened()
         disturbed = side_by_side(self._disturbed, [(seed,) for seed in range(NOISES)])
         grown = [
-            np.mean([(one - other) ** 2 for one in ones], axis=0)
-            for *ones, other in zip(*disturbed, quiet, strict=True)
+            np.mean([(draw - other) ** 2 for draw in draws], axis=0)
+            for *draws, other in zip(*disturbed, quiet, strict=True)
         ]
         return tuple(np.sqrt(np.maximum(uniform_filter1d(square, min(PIECE, square.size)), 1.0)) for square in grown)
 
     def _disturbed(self, seed: int) -> tuple[np.ndarray, ...]:
-        """The innovations with more noise on the carriage; where the model cannot run with it, those without."""
+        """The innovations with noise on the carriage; where that cannot be simulated, those without."""
         try:
             return self.problem.whiten(self.residuals(self.problem.noise(seed)))
         except SimulationError:
             return self.whitened()
 
     def std(self, effect: int, place: int, record: int = 0) -> float:
-        """Standard deviation of one number; 0 where it was not free."""
+        """Standard deviation of a parameter; 0 where it was not free."""
         for i, slot in enumerate(self.slots):
             if slot.effect == effect and slot.place == place and slot.record in (None, record):
                 return float(np.sqrt(max(self.covariance[i, i], 0.0)))
@@ -86,14 +86,16 @@ def fit(start: Hypothesis, part: str = "fit", slots: tuple[Slot, ...] | None = N
     slots = start.model.slots() if slots is None else slots
 
     def residual(model: Candidate) -> np.ndarray:
-        return (start if model is start.model else start.with_model(model)).residual(part)  # a fit knows its own
+        return (start if model is start.model else start.with_model(model)).residual(
+            part
+        )  # a fit has its own residual already
 
-    found = descend(start.model, slots, residual, steps)
-    return evaluate(start.with_model(found.model), slots, found.covariance)
+    descent = descend(start.model, slots, residual, steps)
+    return evaluate(start.with_model(descent.model), slots, descent.covariance)
 
 
 def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: np.ndarray | None = None) -> Fit:
-    """Judge a model as it is on the fitting and on the selecting samples."""
+    """The cost of a model, without fitting it, on the fitting and on the selecting samples."""
     problem, model = hypothesis.problem, hypothesis.model
     covariance = np.zeros((len(slots),) * 2) if covariance is None else covariance
     try:
@@ -105,10 +107,10 @@ def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: n
 
 
 def weighed(fitted: Fit) -> Fit | None:
-    """``fitted`` judged by innovations that count for less where its model lets noise grow; None where it lets none.
+    """``fitted`` with its innovations weighted down where its model amplifies noise; None where it does not.
 
-    A burst of a saturated loop is another one as soon as any number moves, and a fit that follows each loses its way.
-    Play bounces at every reversal: weighed, little would be left to tell its numbers by, and others took its part.
+    A burst of a saturated loop changes as soon as any parameter moves, and misleads a fit. A model with play is not
+    weighted: play bounces at every reversal, and little would be left to determine it.
     """
     bounces = any(map(has_play, fitted.model.effects))
     if bounces or max(float(loud.max()) for loud in fitted.loudness) < rules.LOUD:
@@ -118,11 +120,11 @@ def weighed(fitted: Fit) -> Fit | None:
 
 
 def play_anew(fitted: Fit) -> Fit:
-    """``fitted`` where surfaces through its neighbourhood lead, if it has play that bounces and leaves structure.
+    """``fitted`` moved to the minimum of response surfaces, if it has play that bounces and leaves structure.
 
-    Play found while something else was missing bounces at another place, from which no slope leads away. Beside smooth
-    functions of the state it stays where its short fit found it: they hide most of what else is missing. A model with
-    more effects than are credible stands in for something unknown, and is not worth the time.
+    Play found while something else was missing bounces elsewhere, in a local minimum. Beside smooth functions of the
+    state it stays where its short fit found it: they hide most of what else is missing. A model with more effects than
+    credible imitates something unknown, and is not worth the time.
     """
     quiet = fitted.cost <= rules.AT_FLOOR * fitted.problem.samples("used")
     done = quiet or fitted.surveyed or len(fitted.model.effects) > rules.CREDIBLE
@@ -134,29 +136,29 @@ def _bounces(fitted: Fit) -> bool:
 
 
 def _over_surfaces(fitted: Fit, part: str) -> Fit:
-    """``fitted`` to ``part`` anew, where that leaves less; how sure its numbers are no slope in a dent tells."""
+    """``fitted`` refitted to ``part`` by response surfaces where that leaves less, with the covariance of these."""
     slots = fitted.slots or fitted.model.slots()
 
     def residual(model: Candidate) -> np.ndarray:
         return bounded(fitted.with_model(model).residual(part))
 
-    found = descend_rough(fitted.model, slots, residual)
-    if not found.covariance.any():  # no neighbourhood of it runs
+    descent = descend_rough(fitted.model, slots, residual)
+    if not descent.covariance.any():  # no neighbourhood can be simulated
         return fitted
-    moved = evaluate(fitted.with_model(found.model), slots, found.covariance)
-    stayed = replace(fitted, slots=slots, covariance=found.covariance, surveyed=True)
+    moved = evaluate(fitted.with_model(descent.model), slots, descent.covariance)
+    stayed = replace(fitted, slots=slots, covariance=descent.covariance, surveyed=True)
     return min((stayed, moved), key=bounded_cost)
 
 
 def bounded_cost(fitted: Fit) -> float:
-    """Cost in which a burst counts as the logarithm does."""
+    """Cost on the used samples with Cauchy's loss, in which bursts count little."""
     return float(np.sum(bounded(fitted.residual("used")) ** 2)) if fitted.innovations else WORST
 
 
 def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
-    """What ``STEP`` magnitudes of each number in ``slots`` change in the whitened residual on ``part``, (n, k).
+    """Change (n, k) of the whitened residual on ``part`` by ``STEP`` magnitudes of each parameter in ``slots``.
 
-    A step beyond which the model cannot be simulated tells nothing: its column is 0.
+    The column of a step at which the model cannot be simulated is 0.
     """
     model, base = fitted.model, fitted.residual(part)
 
@@ -175,21 +177,21 @@ def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray
 
 
 def admissible(fitted: Fit) -> bool:
-    """Whether ``fitted`` runs, its numbers are inside their bounds and mean their effects, and its lines are apart."""
+    """Whether ``fitted`` can be simulated, is within bounds and plausible, and its lines and gaps are distinct."""
     sound = bool(fitted.innovations) and not on_bound(fitted) and plausible(fitted)
     return sound and _lines_apart(fitted) and not _closed(fitted)
 
 
 def _closed(fitted: Fit) -> bool:
-    """Whether a gap of play is no more than its deviation: a coupling without one, which is named itself."""
+    """Whether a gap of play is within its standard deviation of 0: it is then an elastic coupling."""
     effects = enumerate(zip(fitted.model.effects, fitted.model.values, strict=True))
     return any(has_play(effect) and values[0, GAP] < fitted.std(index, GAP) for index, (effect, values) in effects)
 
 
 def _lines_apart(fitted: Fit) -> bool:
-    """Whether further lines of an effect are there for sure, and repeat once more or less than others on the travel.
+    """Whether further lines of an effect are significant, and differ from others by a period or more on the travel.
 
-    Two lines that differ by less are one whose size or phase changes along the travel.
+    Two lines that differ by less are one line whose size or phase changes along the travel.
     """
     model = fitted.model
     travel = max(float(np.ptp(record.q)) for record in fitted.problem.records)
@@ -208,7 +210,7 @@ def _lines_apart(fitted: Fit) -> bool:
 
 
 def plausible(hypothesis: Hypothesis) -> bool:
-    """Whether the numbers of every effect still mean that effect on the motion of some record."""
+    """Whether the parameters of every effect are plausible on the motion of some record."""
     model, motions = hypothesis.model, [_motion(record) for record in hypothesis.problem.records]
     for index, effect in enumerate(model.effects):
         if effect.plausible is None:
@@ -221,7 +223,7 @@ def plausible(hypothesis: Hypothesis) -> bool:
 
 
 def on_bound(fitted: Fit) -> bool:
-    """Whether a free parameter of an effect ended on its bound, where the physics it stands for ends."""
+    """Whether a free parameter of an effect ended on its bound, where its physics ends."""
     return bool(bounds_met(fitted))
 
 
@@ -236,11 +238,11 @@ def bounds_met(fitted: Fit) -> list[Slot]:
 
 
 def refitted(hypothesis: Hypothesis) -> Fit:
-    """A model fitted to all that may be used; with its own numbers where that leaves its physics."""
-    found = fit(hypothesis, part="used")
-    if _bounces(found):
-        found = _over_surfaces(found, "used")
-    return found if admissible(found) else evaluate(hypothesis, found.slots, found.covariance)
+    """``hypothesis`` fitted to all used samples; with its own parameters where the fit is inadmissible."""
+    fitted = fit(hypothesis, part="used")
+    if _bounces(fitted):
+        fitted = _over_surfaces(fitted, "used")
+    return fitted if admissible(fitted) else evaluate(hypothesis, fitted.slots, fitted.covariance)
 
 
 def _motion(record: Record) -> Motion:

@@ -1,6 +1,6 @@
-"""The force gap of a baseline and an extended model on the same records, before and after.
+"""The force gap of a baseline and an extended model on the same records.
 
-The data that nothing was decided on: what belongs to one record is fitted there anew, everything else stands.
+On held-out data the parameters of one record are fitted again; all others stay.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from emps_design.simulation import Plant
 class Gap:
     """Rms force error [N] of baseline and extended model, unfiltered closed loop and inverse model at 60 Hz.
 
-    ``intervals`` holds each with 95 %, by the names of the numbers.
+    ``intervals`` are the 95 % intervals by the names of these fields.
     """
 
     baseline: float
@@ -48,7 +48,7 @@ class Gap:
 class Prediction:
     """Force of one record [N], (n,) each: measured, and simulated from its reference with both models.
 
-    ``used`` (n,) bool are the samples that count; ``window`` [s] is where they are, None where that is a whole record.
+    ``used`` (n,) bool are the samples that count; ``window`` [s] is their interval, None for a whole record.
     """
 
     record: Record
@@ -69,24 +69,24 @@ class Prediction:
         return self.record.t
 
     def errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Measured minus simulated [N] on what is used, with the baseline and the extended model, means removed."""
-        left = [(self.measured - force)[self.used] for force in (self.baseline, self.extended)]
-        return left[0] - left[0].mean(), left[1] - left[1].mean()
+        """Measured minus simulated force (n_used,) [N] of the baseline and of the extended model, means removed."""
+        missed = [(self.measured - force)[self.used] for force in (self.baseline, self.extended)]
+        return missed[0] - missed[0].mean(), missed[1] - missed[1].mean()
 
 
 @dataclass(frozen=True)
 class GapComparison:
-    """Two models on the same records: the gap over all of them, and of the one that the baseline misses most its
-    prediction and the extended model. ``refitted`` names what was fitted anew for it.
+    """Two models on the same records: the gap over all; prediction and extended model of the record with the largest
+    residual of the baseline. ``refitted`` are the names of the parameters fitted again for it.
 
-    ``left`` [N] is what the extended model leaves where its encoder is exact: the record's own steps are noise, those
-    of a second, simulated encoder would be counted as a gap.
+    ``remaining_force`` [N] is the rms that the extended model leaves with an exact encoder: the steps of the recorded
+    encoder are noise, those of a second, simulated one would count as a gap.
     """
 
     gap: Gap
     prediction: Prediction
     extended: Candidate
-    left: float
+    remaining_force: float
     refitted: tuple[str, ...] = ()
 
 
@@ -107,23 +107,23 @@ def compare(
         intervals=dict(zip(errors, intervals, strict=True)),
     )
     most = most_missed(models[0])
-    left = np.concatenate([force - force.mean() for force in models[1].left()])
-    return GapComparison(gap, predictions[most], extended.only(most), float(np.std(left)), refitted)
+    remaining = np.concatenate([force - force.mean() for force in models[1].remaining_force()])
+    return GapComparison(gap, predictions[most], extended.only(most), float(np.std(remaining)), refitted)
 
 
 def most_missed(hypothesis: Hypothesis) -> int:
-    """The record of which a model leaves most."""
-    return int(np.argmax([np.std(force) for force in hypothesis.left()]))
+    """Index of the record on which the residual of a model is largest."""
+    return int(np.argmax([np.std(force) for force in hypothesis.remaining_force()]))
 
 
 def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
-    """Simulate the first record from its reference alone with both models, encoder quantised as it is."""
+    """Simulate the first record from its reference alone with both models and the quantised encoder."""
     problem = baseline.problem
     axis, record = problem.axis, problem.records[0]
     measured = motor_force(axis, record)
 
-    def simulated(one: Hypothesis) -> np.ndarray:
-        force = Plant.of(one.model.to_axis(axis)).closed_loop(**one.driven(0)).force
+    def simulated(hypothesis: Hypothesis) -> np.ndarray:
+        force = Plant.of(hypothesis.model.to_axis(axis)).closed_loop(**hypothesis.driven(0)).force
         return measured - problem.compared((measured - force,))[0] if problem.follows else force
 
     before, after = side_by_side(simulated, [(baseline,), (extended,)])
@@ -131,35 +131,35 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
 
 
 def compare_on(held_out: HeldOut, baseline: Candidate, extended: Candidate) -> GapComparison:
-    """Compare two models of the training records, each with what belongs to the held-out record fitted anew."""
-    before, after = (adapted(held_out, model, extended) for model in (baseline, extended))
+    """Compare two models on the held-out record, its per-record parameters fitted again in each."""
+    before, after = (adapt(held_out, model, extended) for model in (baseline, extended))
     return compare(held_out.problem, before, after, per_record_names(after))
 
 
-def adapted(held_out: HeldOut, model: Candidate, found: Candidate) -> Candidate:
-    """``model`` of the training records, with what the controller does here, and what belongs to this record.
+def adapt(held_out: HeldOut, model: Candidate, extended: Candidate) -> Candidate:
+    """``model`` of the training records on the held-out record: its controller's effect, and per-record parameters.
 
-    What is part of ``found`` is no part of a baseline.
+    The controller's effect is not added to a baseline where ``extended`` has it.
     """
     if held_out.law is not None:
         addition = held_out.law.addition
         theirs = [e.name for e in model.effects if e.channel == "controller" and e.name != held_out.added]
         model = model.without_named(theirs)
-        if addition is not None and held_out.added not in (*model.names, *found.names):
+        if addition is not None and held_out.added not in (*model.names, *extended.names):
             model = model.with_effect(*addition)
     return refit_per_record(Hypothesis(held_out.problem, model.only(0)))
 
 
 def per_record_names(model: Candidate) -> tuple[str, ...]:
-    """Names of the numbers of ``model`` that belong to one record and can be fitted."""
+    """Names of the continuous parameters of ``model`` that belong to one record."""
     pairs = [(effect, p) for effect in model.effects for p in effect.parameters]
     return tuple(f"{effect.name}.{p.name}" for effect, p in pairs if p.per_record and not p.discrete)
 
 
 def refit_per_record(hypothesis: Hypothesis) -> Candidate:
-    """Fit what belongs to one record on the only record of ``hypothesis``.
+    """Fit the per-record parameters on the only record of ``hypothesis``.
 
-    Starts are the numbers of the record before and the effect's own proposals here; the old numbers stay unless new
+    Starts are the present parameters and the effect's own proposals on this record; the present ones stay unless new
     ones are clearly better.
     """
     if not per_record_names(hypothesis.model):
@@ -178,16 +178,16 @@ def refit_per_record(hypothesis: Hypothesis) -> Candidate:
 
 
 def _proposals(hypothesis: Hypothesis, index: int) -> list[np.ndarray]:
-    """Parameters (n_parameters,) of effect ``index`` with what belongs to the record as the effect proposes it."""
+    """Parameters (n_parameters,) of effect ``index`` with per-record ones as the effect proposes them."""
     problem, model = hypothesis.problem, hypothesis.model
     record, effect, row = problem.records[0], model.effects[index], model.values[index][0]
     own = [p.per_record for p in effect.parameters]
     if effect.channel == "controller":
-        found = propose_command(effect, record, check_law(record, problem.axis, ()).gap)
-        return [] if found is None else [np.where(own, found, row)]
+        proposed = propose_command(effect, record, check_law(record, problem.axis, ()).gap)
+        return [] if proposed is None else [np.where(own, proposed, row)]
     if effect.propose is None:
         return []
-    seen = missing_force(hypothesis.with_model(model.without(index)))[0]
-    tables = effect.propose(seen.motion, seen.force, model.baseline, seen.away)
+    missing = missing_force(hypothesis.with_model(model.without(index)))[0]
+    tables = effect.propose(missing.motion, missing.force, model.baseline, missing.away)
     full = [[t.get(p.name, old) for p, old in zip(effect.parameters, row, strict=True)] for t in tables]
     return [np.where(own, values, row) for values in full]

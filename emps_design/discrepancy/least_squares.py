@@ -1,18 +1,12 @@
-"""Least squares over the free numbers of a candidate model, within their bounds, and how certain they are.
+"""Least squares over the free parameters of a candidate model, within their bounds, and their covariance.
 
-A candidate model: the baseline and a set of effects with their numbers, the free ones as one vector.
+A candidate model is the baseline and a set of effects with their parameters, the free ones as one vector.
 
-A way down where slopes mislead: the simplex search of Nelder and Mead over the logarithms of some numbers.
-
-Play that bounces makes the cost rough: every impact that comes earlier or later moves it a little, and a descent along
-slopes ends in the first dent. A simplex spans many of them.
-
-A way down where the cost is rough: Gauss-Newton on linear surfaces through a neighbourhood, bursts counting little.
-
-Where play bounces, every impact depends on the last digit of every number: the cost has dent beside dent, and at the
-truth, where noise moves the impacts as well, it is no less than in many of them. Over a neighbourhood the mean is
-smooth. A few samples, at impacts that come early or late, would still be most of a sum of squares: beyond a burst they
-count as the logarithm does (Cauchy's loss).
+:func:`descend` is Levenberg-Marquardt. Play that bounces makes the cost rough: every impact that comes earlier or later
+changes it a little, and a descent along gradients ends in the first local minimum. Two methods span many of these:
+:func:`simplex`, the search of Nelder and Mead over the logarithms of some parameters, and :func:`descend_rough`,
+Gauss-Newton on linear response surfaces through a neighbourhood, over which the mean is smooth. A few samples at
+impacts would still dominate a sum of squares, so that large innovations count by Cauchy's loss there.
 """
 
 from __future__ import annotations
@@ -33,30 +27,30 @@ from emps_design.effects.sizes import sized_parameter
 from emps_design.errors import SimulationError
 from emps_design.quantities import Quantity
 
-# Of an ordinary axis; the scales are the least sizes by which a fit measures its steps.
+# Of an ordinary axis; a fit scales its steps by at least ``scale``.
 BASELINE = (
     Parameter("mass", "M", "kg", lower=1e-6, scale=1.0),
     Parameter("viscous", "F_v", "N/(m/s)", lower=0.0, scale=10.0),
     Parameter("coulomb", "F_c", "N", lower=0.0, scale=1.0),
     Parameter("constant_force", "c", "N", scale=1.0),
 )
-LEAST_MASS = 0.01  # of the axis file's: with next to no mass the plant is all friction, and takes for ever to simulate
+LEAST_MASS = 0.01  # of the axis file's: with almost no mass friction dominates, and a simulation takes very long
 
-NUDGE = 2e-4  # finite difference, in magnitudes of the number
-COARSE = 5e-3  # the same where the fine one finds no way down and structure is left: play that bounces is rough
-BOLDEST = 0.5  # largest step of a fit, in magnitudes of the number: a period must not jump over its neighbours
+NUDGE = 2e-4  # finite difference, in magnitudes of the parameter
+COARSE = 5e-3  # the same where the fine one finds no descent and structure is left, as with play
+BOLDEST = 0.5  # largest step of a fit, in magnitudes of the parameter: a period must not jump over its neighbours
 TRIALS = 6  # of one step, with more and more damping
 DAMPING = (1e-7, 1e6)  # least and most
-GOES_ON = 0.1  # of the cost: a step that gains more is followed by one with the Jacobian that it corrects
+GOES_ON = 0.1  # of the cost: after a larger gain the next step uses Broyden's update of the Jacobian
 CONVERGED = (1e-4, 0.1)  # gain of a step, as a share of the cost and absolute, below which a descent ends
-CLUSTER = 500  # samples that structure in a residual spans, for the deviations of what was fitted
-WORST = 1e12  # cost of a model that cannot be simulated: finite, so that a fit steps back from it
+CLUSTER = 500  # samples that structure in a residual spans, for the covariance
+WORST = 1e12  # cost of a model that cannot be simulated; finite for a fit to step back from it
 
 SPAN = 0.3  # of the logarithm of each number, the first simplex
 ENDS = 0.01  # of the logarithm, size of a simplex that is small enough
 
 ROUNDS = 30  # surfaces, one after the other
-CHANGED = 2.0  # times the cost: as much a number alone changes the residual at the edge of the first neighbourhood
+CHANGED = 2.0  # times the cost: change of the residual by one parameter at the edge of the first neighbourhood
 SOUGHT = 4  # times that edge is corrected before the first surface
 CLOSER = 0.6  # of the neighbourhood is the next one where a surface led no further, and at least
 OFTEN = 4  # times in so many rounds
@@ -70,9 +64,9 @@ ALIKE = 4.0  # times the deviation of the costs on a surface, up to which a plac
 
 @dataclass(frozen=True)
 class Slot:
-    """Where one free number lives: ``effect`` -1 is the baseline; ``record`` None means shared by all records.
+    """Place of one free parameter: ``effect`` -1 is the baseline; ``record`` None means shared by all records.
 
-    ``magnitude`` is the size by which a fit measures its steps.
+    ``magnitude`` is the unit of its steps in a fit.
     """
 
     effect: int
@@ -84,9 +78,9 @@ class Slot:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in what belongs to one record.
+    """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in per-record parameters only.
 
-    ``sizes`` are the bounds and least sizes of the baseline's numbers; those at the places ``held`` are never free.
+    ``sizes`` are the bounds and scales of the baseline's parameters; those at the indices ``held`` are never free.
     """
 
     baseline: np.ndarray
@@ -124,9 +118,9 @@ class Candidate:
         return model
 
     def slots(self, frozen: bool = False) -> tuple[Slot, ...]:
-        """The free numbers; with ``frozen`` only those that belong to a record.
+        """The slots of the free parameters; with ``frozen`` only per-record ones.
 
-        What acts on the controller's output is known from the controller's law alone and never free here.
+        An effect of the controller is known from the controller's law and never free.
         """
         slots = []
         if not frozen:
@@ -202,7 +196,7 @@ class Descent:
 
 @dataclass(frozen=True)
 class Scaled:
-    """The free numbers ``slots`` of ``start`` in units of their magnitudes, and the ``residual`` of a model."""
+    """The free parameters ``slots`` of ``start`` in units of their magnitudes, and the ``residual`` of a model."""
 
     start: Candidate
     slots: tuple[Slot, ...]
@@ -210,33 +204,33 @@ class Scaled:
 
     @cached_property
     def magnitude(self) -> np.ndarray:
-        """The magnitude of every number."""
+        """The magnitude (k,) of every parameter."""
         return np.array([s.magnitude for s in self.slots])
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lower and the upper ones."""
+        """The lower and the upper bounds, (k,) each, scaled."""
         lower, upper = np.array([(s.quantity.lower, s.quantity.upper) for s in self.slots]).reshape(-1, 2).T
         return lower / self.magnitude, upper / self.magnitude
 
     @property
     def begin(self) -> np.ndarray:
-        """The numbers that ``start`` has."""
+        """The scaled parameters (k,) of ``start``."""
         return self.start.vector(self.slots) / self.magnitude
 
     def at(self, x: np.ndarray) -> Candidate:
-        """The model with the numbers ``x``."""
+        """The model with the scaled parameters ``x`` (k,)."""
         return self.start.with_vector(self.slots, x * self.magnitude)
 
     def attempt(self, x: np.ndarray) -> np.ndarray | None:
-        """The residual with the numbers ``x``, None where the model cannot be simulated."""
+        """The residual with the scaled parameters ``x`` (k,), None where the model cannot be simulated."""
         try:
             return self.residual(self.at(x))
         except SimulationError:
             return None
 
     def unscaled(self, covariance: np.ndarray) -> np.ndarray:
-        """``covariance`` (k, k) in the units of the numbers."""
+        """``covariance`` (k, k) in the units of the parameters."""
         return covariance * np.outer(self.magnitude, self.magnitude)
 
 
@@ -245,9 +239,9 @@ def descend(
 ) -> Descent:
     """Minimise the sum of squares of ``residual`` over ``slots`` by Levenberg-Marquardt; bounds hold at every step.
 
-    A model that cannot be simulated counts as infinitely bad: the descent steps back from it. As long as a step gains
-    much, the next one takes the Jacobian that the step itself corrects (Broyden's rank one); a descent ends on one that
-    was computed. It takes as many simulations as ``steps`` steps with computed ones would.
+    A model that cannot be simulated counts as infinitely bad: the descent steps back from it. While steps gain much,
+    the Jacobian is updated by Broyden's rank-one formula; a descent ends with a computed one. It takes at most as many
+    simulations as ``steps`` steps with computed Jacobians.
     """
     free = Scaled(start, slots, residual)
     (lower, upper), attempt, x = free.bounds, free.attempt, free.begin
@@ -289,10 +283,10 @@ def descend(
 
 
 def _moves(
-    jacobian: np.ndarray, left: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
+    jacobian: np.ndarray, residual: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Where to go from ``x`` (k,) within its bounds, and the damping of that step: each more damped than the last."""
-    normal, gradient = jacobian.T @ jacobian, jacobian.T @ left
+    """Trial points from ``x`` (k,) within its bounds, and the damping of each: ten times more than the one before."""
+    normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
     while True:
         free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
         lhs = normal[np.ix_(free, free)] + damping * np.diag(np.diag(normal)[free] + 1e-9)
@@ -302,17 +296,17 @@ def _moves(
         damping = min(damping * 10, DAMPING[1])
 
 
-def covariance_of(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) of a least-squares fit that leaves ``left`` (n,), in standard deviations of the noise.
+def covariance_of(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) of a least-squares fit that leaves ``residual`` (n,), in standard deviations of the noise.
 
-    Where the model leaves structure its numbers are less sure than noise alone would make them: by its size, and, as
-    structure goes on for a while and pulls at the numbers, by how far the pull differs from piece to piece of the
-    record (the sandwich of Huber and White, pieces as clusters). The larger of the two holds for each number.
+    Structure in the residual makes parameters less certain than noise alone: by its size, and, because structure is
+    correlated, by the scatter of the gradient between pieces of the record (sandwich estimator of Huber and White,
+    pieces as clusters). The larger of the two variances holds for each parameter.
     """
     inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    covariance = inverse * max(1.0, float(left @ left) / left.size)
-    starts = np.arange(0, left.size, CLUSTER)
-    pulls = np.add.reduceat(jacobian * left[:, None], starts, axis=0)
+    covariance = inverse * max(1.0, float(residual @ residual) / residual.size)
+    starts = np.arange(0, residual.size, CLUSTER)
+    pulls = np.add.reduceat(jacobian * residual[:, None], starts, axis=0)
     pulls -= pulls.mean(axis=0)
     spread = inverse @ (pulls.T @ pulls) @ inverse
     wider = np.sqrt(np.maximum(1.0, np.diag(spread) / np.maximum(np.diag(covariance), 1e-300)))
@@ -322,9 +316,9 @@ def covariance_of(jacobian: np.ndarray, left: np.ndarray) -> np.ndarray:
 def simplex(
     start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray], simulations: int
 ) -> Candidate:
-    """``start`` with the positive numbers in ``slots`` moved to where the sum of squares of ``residual`` is least.
+    """``start`` with the positive parameters in ``slots`` minimising the sum of squares of ``residual``.
 
-    In as many ``simulations`` at most; a model that cannot be simulated counts as :data:`WORST`.
+    At most ``simulations`` simulations; a model that cannot be simulated costs :data:`WORST`.
     """
     from scipy.optimize import minimize
 
@@ -333,10 +327,10 @@ def simplex(
 
     def cost(logarithms: np.ndarray) -> float:
         try:
-            left = residual(moved(logarithms))
+            missed = residual(moved(logarithms))
         except SimulationError:
             return WORST
-        return float(left @ left)
+        return float(missed @ missed)
 
     first = np.log(np.maximum(start.vector(slots), [1e-3 * slot.magnitude for slot in slots]))
     corners = np.vstack([first, first + SPAN * np.eye(first.size)])
@@ -345,7 +339,7 @@ def simplex(
 
 
 def bounded(innovations: np.ndarray) -> np.ndarray:
-    """Numbers whose sum of squares is Cauchy's loss of ``innovations``: beyond a burst it grows as the logarithm.
+    """Residuals whose sum of squares is Cauchy's loss of ``innovations``: logarithmic beyond ``rules.BURST``.
 
     >>> bounded(np.array([0.0, 0.5, -100.0])).round(3).tolist()
     [0.0, 0.499, -12.241]
@@ -355,29 +349,29 @@ def bounded(innovations: np.ndarray) -> np.ndarray:
 
 
 def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray]) -> Descent:
-    """Minimise the sum of squares of ``residual`` over ``slots`` by surfaces; returns the least that was met.
+    """Minimise the sum of squares of ``residual`` over ``slots`` by linear response surfaces; returns the best point.
 
-    A surface goes through two places on each of as many random directions, at right angles to each other, as there are
-    numbers: each moves all numbers at once. Its slopes give the next place. What cannot be simulated makes the
-    neighbourhood smaller. A number is as sure as the last surface says, and as the places agree whose cost is the least
-    one but for the roughness of the last neighbourhood. The same start takes the same directions.
+    A surface goes through two points on each of k random orthogonal directions, which move all k parameters at once.
+    Its slopes give the next point. A failed simulation makes the neighbourhood smaller. The covariance is that of the
+    last surface plus that of all points whose cost exceeds the least by no more than the scatter of the last
+    neighbourhood. The same start takes the same directions.
     """
     random, free = np.random.default_rng(0), Scaled(start, slots, residual)
-    been: list[tuple[float, np.ndarray]] = []
+    visited: list[tuple[float, np.ndarray]] = []
 
     def visit(places: np.ndarray) -> list[np.ndarray] | None:
         met = side_by_side(free.attempt, [(place,) for place in places])
-        been.extend((float(m @ m), place) for m, place in zip(met, places, strict=True) if m is not None)
+        visited.extend((float(m @ m), place) for m, place in zip(met, places, strict=True) if m is not None)
         return None if any(m is None for m in met) else met
 
     def least() -> tuple[float, np.ndarray]:
-        return min(been, key=lambda one: one[0])
+        return min(visited, key=lambda pair: pair[0])
 
     x = free.begin
     first = visit(x[None])
     covariance, rough = np.zeros((x.size, x.size)), 0.0
     if first is None or not slots:
-        return Descent(start, been[0][0] if been else WORST, covariance)
+        return Descent(start, visited[0][0] if visited else WORST, covariance)
     reach, vain = _reach(free.attempt, x, first[0]), 0
     for number in range(ROUNDS):
         directions = np.linalg.qr(random.standard_normal((x.size, x.size)))[0] * np.sqrt(x.size) * reach
@@ -393,7 +387,7 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
         move = -np.linalg.lstsq(normal + RIDGE * np.diag(np.diag(normal)), jacobian.T @ middle, rcond=None)[0]
         moved = np.clip(x + np.clip(move, -FAR * reach, FAR * reach), *free.bounds)
         before, reached = least()[0], visit(moved[None])
-        astray = reached is None or been[-1][0] > ASTRAY * least()[0]
+        astray = reached is None or visited[-1][0] > ASTRAY * least()[0]
         x = least()[1] if astray else moved
         vain = 0 if least()[0] < (1 - FURTHER) * before else vain + (not astray)
         if vain == IN_VAIN:
@@ -403,16 +397,16 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
         elif np.all(np.abs(move) < reach) or number % OFTEN == OFTEN - 1:
             reach = reach * CLOSER
     cost, best = least()
-    alike = np.array([place for found, place in been if found <= cost + ALIKE * rough])
+    alike = np.array([place for other_cost, place in visited if other_cost <= cost + ALIKE * rough])
     covariance = covariance + np.cov(alike.T, bias=True).reshape(covariance.shape)
     return Descent(free.at(best), cost, free.unscaled(covariance))
 
 
 def _reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """How far each number of ``x`` (k,) alone goes until the residual differs from ``first`` by a share of its cost."""
+    """Change (k,) of each of ``x`` (k,) alone that changes the residual ``first`` by ``CHANGED`` times its cost."""
     reach, wanted = np.full(x.size, 1e-3), CHANGED * float(first @ first)
     for _ in range(SOUGHT):
         met = side_by_side(attempt, [(moved,) for moved in x + np.diag(reach)])
-        changed = [np.inf if left is None else float(np.sum((left - first) ** 2)) for left in met]
+        changed = [np.inf if residual is None else float(np.sum((residual - first) ** 2)) for residual in met]
         reach = reach * np.clip(np.sqrt(wanted / np.maximum(changed, 1e-300)), 0.1, 10.0)
     return reach

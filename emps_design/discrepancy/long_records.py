@@ -1,4 +1,4 @@
-"""Records too long to be searched whole: their beginnings are searched, and at the end the rest is simulated too."""
+"""Records too long to be searched whole: their beginnings are searched, and the model is checked on the rest."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.preparation import MOST_SAMPLES, LawCheck, beside_the_law, law_voltage
+from emps_design.discrepancy.preparation import MOST_SAMPLES, LawCheck, law_voltage, with_law_gap
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.discrepancy.records import START_UP
 from emps_design.errors import SimulationError
 from emps_design.quantities import rounded
 from emps_design.records import Record
 
-SEARCHED = 150_000  # samples in all, from the first motion on, of records that are too long together
-PIECE_TIME = 10.0  # s, of the pieces of a record in which the model may leave more
+SEARCHED = 150_000  # samples in all, from the first motion on, of records that together are too long
+PIECE_TIME = 10.0  # s, of the pieces of a record whose residuals are compared
 
 Interval = tuple[float, float]
 
@@ -42,15 +42,15 @@ def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[
     return tuple(parts)
 
 
-def look_at_the_rest(
+def check_the_rest(
     records: tuple[Record, ...], parts: tuple[Record, ...], laws: tuple[LawCheck, ...], extended: Hypothesis
 ) -> tuple[tuple[str, ...], bool]:
-    """What ``extended``, found in ``parts`` of ``records``, leaves of the whole of each, and whether of any more.
+    """Remarks on what ``extended``, fitted to ``parts``, leaves of the whole ``records``, and whether it fails there.
 
-    One simulation of each, in one go: what changed on the way shows. ``parts`` are the :func:`beginnings`; ``laws``
-    their checks, one per record where the controller is known.
+    One simulation of each whole record shows later changes. ``parts`` are the :func:`beginnings`; ``laws`` their
+    checks, one per record where the controller is known.
     """
-    told, more = [], False
+    remarks, more = [], False
     for index, (record, searched) in enumerate(zip(records, parts, strict=True)):
         if len(searched) == len(record):
             continue
@@ -58,25 +58,27 @@ def look_at_the_rest(
             f"{record.name}: only {searched.duration:.4g} of {record.duration:.4g} s were searched, "
             f"{len(record)} samples are too many"
         )
-        one = extended.only(index)
+        hypothesis = extended.only(index)
         if laws and laws[index].unexplained:
-            record = beside_the_law(record, replace(laws[index], gap=record.u - law_voltage(record, one.problem.axis)))
-        whole = Hypothesis(replace(one.problem, records=(record,)), one.model)
+            record = with_law_gap(
+                record, replace(laws[index], gap=record.u - law_voltage(record, hypothesis.problem.axis))
+            )
+        whole = Hypothesis(replace(hypothesis.problem, records=(record,)), hypothesis.model)
         try:
-            (left,) = whole.residuals()
+            (residual,) = whole.residuals()
         except SimulationError as error:
-            told.append(f"{head}; the model cannot be simulated to the end: {error}")
+            remarks.append(f"{head}; the model cannot be simulated to the end: {error}")
             more = True
             continue
         size = round(PIECE_TIME / record.period)
-        pieces = left[START_UP:][: (left.size - START_UP) // size * size].reshape(-1, size).std(axis=1)
+        pieces = residual[START_UP:][: (residual.size - START_UP) // size * size].reshape(-1, size).std(axis=1)
         usual, most = float(np.median(pieces[: len(searched) // size])), int(np.argmax(pieces))
-        text = f"{head}; over the whole record the model leaves {rounded(float(np.std(left[START_UP:])))} N"
+        text = f"{head}; over the whole record the model leaves {rounded(float(np.std(residual[START_UP:])))} N"
         if pieces[most] > rules.UNUSUAL * usual:
             more = True
             text += (
                 f", and {rounded(float(pieces[most]))} N in the {PIECE_TIME:g} s from {most * PIECE_TIME:g} s on, "
                 f"where {rounded(usual)} N are usual: something else is there, or changed; look at it with `fit_time`"
             )
-        told.append(text)
-    return tuple(told), more
+        remarks.append(text)
+    return tuple(remarks), more

@@ -1,11 +1,4 @@
-"""What repeats and what does not: the noise floor of the force, its whitening, and how certain an rms is.
-
-Whitening of the force residual by an autoregressive model of its noise, and its undoing.
-
-How certain an rms is: a bootstrap that keeps the correlation of what it redraws.
-
-What repeats and what does not: the noise floor of the force, and the whitening of its residual.
-"""
+"""The noise floor of the force, its whitening by an autoregressive model, and the confidence interval of an rms."""
 
 from __future__ import annotations
 
@@ -21,20 +14,20 @@ from emps_design.discrepancy.records import START_UP, Split
 
 ORDER = 24  # of the autoregressive model of the noise
 
-PIECE = 500  # samples drawn together in the mean
+PIECE = 500  # samples of a piece of noise; mean length in the bootstrap
 DRAWS = 199
 ENDS = (0.025, 0.975)  # quantiles
 
 BAND_HZ = 60.0
 FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
 EVERY_TWO = (FIRST_DIFFERENCE, (-1.0, 0.0, 1.0), (0.0, *FIRST_DIFFERENCE))  # of three laps
-TOGETHER = 3  # laps, of which two agree nearly everywhere, even if each is pushed now and then
-NEIGHBOURS = 40  # lines of a spectrum on both sides, the median of which is usual
+TOGETHER = 3  # laps, of which two agree nearly everywhere, even if each is disturbed now and then
+NEIGHBOURS = 40  # lines of a spectrum on both sides for the median
 LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
 
 Signals = tuple[np.ndarray, np.ndarray]  # a force (n,) [N], unfiltered and low-passed
 Parts = tuple[list[np.ndarray], list[np.ndarray]]  # pieces of such forces
-Way = Callable[[Signals, Split], Parts]  # of laps to differ
+Way = Callable[[Signals, Split], Parts]  # a way to take differences of laps
 
 
 @dataclass(frozen=True)
@@ -46,12 +39,12 @@ class Whitening:
 
     @classmethod
     def none(cls) -> Whitening:
-        """Return what leaves forces as they are, with 1 N as the standard deviation of the noise."""
+        """Return a whitening that changes nothing: noise of 1 N standard deviation."""
         return cls(np.array([1.0]), 1.0)
 
     @classmethod
     def of_autocovariance(cls, lags: np.ndarray) -> Whitening:
-        """Model noise with autocovariance ``lags`` (order + 1,) [N^2] by the equations of Yule and Walker."""
+        """Model noise of autocovariance ``lags`` (order + 1,) [N^2] by the Yule-Walker equations."""
         from scipy.linalg import solve_toeplitz
 
         lags = lags * np.concatenate(([1 + 1e-9], np.ones(lags.size - 1)))
@@ -64,17 +57,17 @@ class Whitening:
         return np.convolve(self.coefficients, residual)[: residual.size] / self.std
 
     def undo(self, innovations: np.ndarray) -> np.ndarray:
-        """Force noise (n,) [N] that :meth:`apply` makes into ``innovations`` (n,)."""
+        """Force noise (n,) [N] with ``innovations`` (n,): the inverse of :meth:`apply`."""
         from scipy.signal import lfilter
 
         return self.std * lfilter((1.0,), self.coefficients, innovations)
 
 
 def rms_interval(error: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """Interval that holds the rms of ``error`` (n,) with 95 %: stationary bootstrap of pieces of it.
+    """95 % confidence interval of the rms of ``error`` (n,), by the stationary bootstrap.
 
     Pieces of random, geometrically distributed length begin anywhere in the record, closed to a ring (Politis and
-    Romano, The stationary bootstrap, 1994). Only their sums of squares are wanted, so that no sample is drawn.
+    Romano, The stationary bootstrap, 1994). Only their sums of squares are computed.
 
     >>> low, high = rms_interval(np.random.default_rng(0).standard_normal(20_000))
     >>> 0.97 < low < 1.0 < high < 1.03
@@ -82,7 +75,7 @@ def rms_interval(error: np.ndarray, seed: int = 0) -> tuple[float, float]:
     """
     generator, n = np.random.default_rng(seed), error.size
     piece = min(PIECE, n // 4)
-    lengths = generator.geometric(1 / piece, (DRAWS, 2 * (n // piece) + 50))  # more than fill the record
+    lengths = generator.geometric(1 / piece, (DRAWS, 2 * (n // piece) + 50))  # more than enough to fill the record
     ends = np.minimum(np.cumsum(lengths, axis=1), n)
     lengths = np.diff(ends, axis=1, prepend=0)
     begins = generator.integers(0, n, lengths.shape)
@@ -94,10 +87,10 @@ def rms_interval(error: np.ndarray, seed: int = 0) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Floor:
-    """Rms [N] of what nothing predicts, ``force`` unfiltered and ``force_60hz`` low-passed.
+    """Rms [N] of the noise of the force, ``force`` unfiltered and ``force_60hz`` low-passed.
 
-    ``interval`` and ``interval_60hz`` hold the two with 95 %. ``whitening`` models it; ``draws`` are its innovations,
-    to resample. ``source`` says what it was read from.
+    ``interval`` and ``interval_60hz`` are their 95 % intervals. ``whitening`` is the model of the noise, ``draws`` are
+    its innovations, to resample. ``source`` says what it was estimated from.
     """
 
     force: float
@@ -110,7 +103,7 @@ class Floor:
 
     @property
     def from_laps(self) -> bool:
-        """Whether it is what differs between laps of the same reference, and no model's residual."""
+        """Whether it was estimated from differences between laps, not from a model's residual."""
         return self.source == LAPS
 
     def to_dict(self, measure: str = "") -> dict[str, object]:
@@ -122,11 +115,10 @@ class Floor:
 def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:
     """Floor from repeated laps of any record, or None where no reference repeats.
 
-    ``residuals`` (n,) [N] are what a fitted model leaves: what it knows of one lap and not of another, such as a
-    disturbance of the controller, is then not taken for noise. Nor is a drift: where the second difference between
-    three laps is clearly smaller than the difference between two, it is the floor. Nor are pushes that do not come with
-    every lap: where two of the laps always agree far better than one and the next, what those two differ by is the
-    floor.
+    ``residuals`` (n,) [N] are those of a fitted model, so that what it explains of one lap only, such as a disturbance
+    of the controller, is not taken for noise. A drift is not either: where the second difference of three laps is
+    clearly smaller than the difference of two, the second difference is the floor. Pushes in single laps are not
+    either: where two of three laps always agree far better than consecutive ones, their difference is the floor.
     """
     from emps_design.identification.filters import low_pass
 
@@ -144,7 +136,7 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
 
 
 def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: Way) -> Parts:
-    """What laps differ by, in one ``way``, over all records: unfiltered and low-passed, without what is unusual."""
+    """Differences of laps by ``way`` over all records, unfiltered and low-passed, without unusual pieces."""
     raw: list[np.ndarray] = []
     smooth: list[np.ndarray] = []
     for both, split in zip(signals, splits, strict=True):
@@ -155,7 +147,7 @@ def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: Way
 
 
 def _weighted(signals: Signals, split: Split, weights: tuple[float, ...]) -> Parts:
-    """Combinations of laps in a row with ``weights``."""
+    """Combinations of consecutive laps with ``weights``."""
     laps = _laps(split, len(weights))
     raw, smooth = ([_difference(signal, start, stop, split.lap, weights) for start, stop in laps] for signal in signals)
     return raw, smooth
@@ -176,14 +168,14 @@ def _agreeing(signals: Signals, split: Split) -> Parts:
 
 
 def _pairs(signal: np.ndarray, start: int, stop: int, lap: int) -> np.ndarray:
-    """Differences (3, pieces, samples) of every two of three laps, less the usual one of the two: a drift makes it."""
+    """Differences (3, pieces, samples) of every two of three laps, less the median of each, which a drift makes."""
     pairs = [_difference(signal, start, stop, lap, weights) for weights in EVERY_TWO]
     cut = np.array([_pieces(pair, PIECE) for pair in pairs])
     return cut - np.median(cut, axis=(1, 2), keepdims=True)
 
 
 def _laps(split: Split, together: int) -> list[tuple[int, int]]:
-    """Samples (start, stop) of the first of ``together`` laps one after the other, for every such group."""
+    """Samples (start, stop) of the first lap of every group of ``together`` consecutive laps."""
     used = np.nonzero(split.used)[0]
     if split.lap == 0 or used.size < together * split.lap - START_UP:
         return []
@@ -191,21 +183,21 @@ def _laps(split: Split, together: int) -> list[tuple[int, int]]:
     # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
     begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
     groups = [(a, min(a + split.lap, last - others)) for a in range(begin, last - others - START_UP, split.lap)]
-    return [(a, b) for a, b in groups if split.used[a : b + others].all()]  # what confirms stays closed
+    return [(a, b) for a, b in groups if split.used[a : b + others].all()]  # not the held-out part
 
 
 def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tuple[float, ...]) -> np.ndarray:
-    """Combination of laps with ``weights``, with the deviation of the noise of one."""
+    """Combination of laps with ``weights``, scaled to the standard deviation of one lap's noise."""
     laps = [weight * signal[start + i * lap : stop + i * lap] for i, weight in enumerate(weights)]
     return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
 
 
-def floor_of_residual(left: Sequence[np.ndarray], period: float, source: str) -> Floor:
-    """Floor taken from what a model leaves of the used samples, (n_used,) [N] per record; ``source`` says which."""
+def floor_of_residual(forces: Sequence[np.ndarray], period: float, source: str) -> Floor:
+    """Floor from the residual ``forces`` of a model, (n_used,) [N] per record; ``source`` says which residual."""
     from emps_design.identification.filters import low_pass
 
     raw, smooth = [], []
-    for force in left:
+    for force in forces:
         usual = _steady([force], [low_pass(force, BAND_HZ, period)])
         raw += usual[0]
         smooth += usual[1]
@@ -221,7 +213,7 @@ def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floo
 
 
 def _interval(parts: list[np.ndarray], rms: float) -> tuple[float, float]:
-    """Interval of the floor ``rms`` [N], in proportion to that of the rms of ``parts``."""
+    """95 % interval of the floor ``rms`` [N], in proportion to that of the rms of ``parts``."""
     error = np.concatenate([p - p.mean() for p in parts])
     low, high = (rms / float(np.std(error)) * end for end in rms_interval(error))
     return low, high
@@ -230,15 +222,15 @@ def _interval(parts: list[np.ndarray], rms: float) -> tuple[float, float]:
 def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
     """Rms [N] and autocovariance (ORDER + 1,) [N^2] of ``parts`` without the lines of their spectrum.
 
-    A hum that is not in step with the laps differs between them, and is no noise: a line that stands far above the
-    median of its neighbourhood is cut down to it.
+    A hum that is not synchronous with the laps differs between them, and is no noise: a line far above the median of
+    its neighbours is reduced to it.
     """
     from scipy.ndimage import median_filter
 
     size = max(part.size for part in parts)
     power, samples = np.zeros(size + 1), 0
     for part in parts:
-        window = np.hanning(part.size)  # else the foot of a tone reaches far
+        window = np.hanning(part.size)  # to limit the leakage of a tone
         power += np.abs(np.fft.rfft(window * (part - part.mean()), 2 * size)) ** 2 / np.mean(window**2)
         samples += part.size
     usual = median_filter(power, 2 * NEIGHBOURS + 1, mode="nearest")
@@ -247,17 +239,17 @@ def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
     return float(np.sqrt(lags[0])), lags
 
 
-def usual_rms(left: Sequence[np.ndarray]) -> float:
-    """Rms [N] of ``left``, (n,) per record, without the pieces in which it is far larger than it usually is there."""
-    return _rms([part for force in left for part in _steady([force], [force])[0]])
+def usual_rms(forces: Sequence[np.ndarray]) -> float:
+    """Rms [N] of ``forces``, (n,) per record, without the pieces in which a force is far larger than usual."""
+    return _rms([part for force in forces for part in _steady([force], [force])[0]])
 
 
 def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Leave out the pieces of a record in which its laps differ far more than they usually do.
+    """``raw`` and ``smooth`` without the pieces in which ``raw`` is far larger than usual on its record.
 
-    An event that happens in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not
-    samples, so that what is kept still has the noise's correlation. Of each record by itself: at four times the gain
-    the same play of the position is four times the force.
+    An event in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not samples, so
+    that the kept part has the correlation of the noise. For each record separately: at four times the gain the same
+    play of the position is four times the force.
     """
     if not raw:
         return [], []

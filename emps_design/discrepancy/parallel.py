@@ -1,4 +1,4 @@
-"""Simulations side by side: they release the interpreter, so threads are enough."""
+"""Simulations in parallel: they release the interpreter lock, so that threads suffice."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from contextlib import suppress
 from typing import Any
 
 CORES = 2
-PATIENCE = 0.05  # s, in which a thread that waits hears an interrupt
-_idle = threading.Semaphore(CORES - 1)  # cores on which no thread of this module works
-_here = threading.local()  # ``ended``: whether whoever started this thread has gone
+PATIENCE = 0.05  # s, within which a waiting thread handles an interrupt
+_idle = threading.Semaphore(CORES - 1)  # idle cores
+_here = threading.local()  # ``ended``: whether the caller of this thread was interrupted
 
 
 class _Ended(BaseException):
-    """Whoever wanted the work of this thread was interrupted."""
+    """Raised in a helper thread whose caller was interrupted."""
 
 
 def side_by_side(function: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
     """Return ``function(*row)`` of each row of ``arguments``, in their order; raise what the first failing row raised.
 
-    The caller takes one row after the other itself, and a core that is idle takes some of them, at any depth of calls
-    within calls: a pool per call would leave a core idle whenever the last row of the outer call is a long one.
+    The caller computes the rows itself, and an idle core helps, at any depth of nested calls: a pool per call would
+    leave a core idle whenever the last row of the outer call takes long.
 
     >>> side_by_side(pow, [(2, 3), (3, 2)])
     [8, 9]
     """
     rows, results, errors = list(arguments), {}, {}
-    left, gone = iter(range(len(rows))), threading.Event()
+    remaining, stopped = iter(range(len(rows))), threading.Event()
     ended_above: Callable[[], bool] = getattr(_here, "ended", lambda: False)
 
     def ended() -> bool:
-        return gone.is_set() or ended_above()
+        return stopped.is_set() or ended_above()
 
     def take(row: int) -> None:
         if ended():
@@ -45,21 +45,21 @@ def side_by_side(function: Callable[..., Any], arguments: Iterable[tuple[Any, ..
         _here.ended = ended
         try:
             with suppress(_Ended):
-                for row in left:
+                for row in remaining:
                     take(row)
         finally:
             _idle.release()
 
     helpers: list[threading.Thread] = []
     try:
-        for row in left:
+        for row in remaining:
             if row + 1 < len(rows) and _idle.acquire(blocking=False):
                 helpers.append(threading.Thread(target=help_out, daemon=True))
                 helpers[-1].start()
             take(row)
         _wait(helpers)
     except BaseException:
-        gone.set()
+        stopped.set()
         raise
     for row in sorted(errors):
         raise errors[row]

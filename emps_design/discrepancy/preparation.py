@@ -1,18 +1,11 @@
-"""The first stage: records that can be judged, split, with what their controller's law already tells.
+"""The first stage: check the records and the controller's law, and split the records.
 
-The controller on its own: does the recorded voltage follow the law of the axis file, computed from the record?
+The law needs only ``q_ref`` and ``q``, both recorded: does the recorded voltage follow the law of the axis file? A gap
+is visible without any plant, and is explained here and nowhere else.
 
-The law needs only ``q_ref`` and ``q``, both recorded, so a gap in its equation is seen here without any plant, and is
-explained here and nowhere else.
-
-What a record must have to be judged, and what it cannot tell: checked before anything is computed.
-
-What of a record confirms where no other one was given: its first lap or its last strokes, closed during the search.
-
-A share of the gap that is closed on the samples that were fitted says little. So one lap is kept, where the reference
-repeats and two laps are left to tell the noise: the first, which starts from rest unlike the others and tells none of
-it. Otherwise it is the last third of the strokes. Where that would leave too little to find anything by, nothing is
-kept, and the answer says so.
+The fit on the fitted samples says little, so a part of the record is held out where no other record confirms: the first
+lap, where the reference repeats and two further laps give the noise (the first starts from rest, unlike the others), or
+the last third of the strokes. Where too little would remain, nothing is held out, and the answer says so.
 """
 
 from __future__ import annotations
@@ -48,9 +41,9 @@ from emps_design.laws import get_law, law_of, recorded_gains, unit_of
 from emps_design.records import Record
 from emps_design.records.clock import same_period
 
-BLOCK_TIME = 0.02  # s, of the means in which structure shows
+BLOCK_TIME = 0.02  # s, of the means that show structure
 
-SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, for the filters of the missing force
+SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, longest for the filters of the missing force
 MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
 MOST_SAMPLES = 1_000_000  # 1.7 GB
 ONE_SPEED = (
@@ -60,8 +53,8 @@ ONE_SPEED = (
 )
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
-LAPS = 3  # from which on one of them is kept
-STROKES = 6  # that a record without laps must have
+LAPS = 3  # from which on one is held out
+STROKES = 6  # from which on some are held out of a record without laps
 KEPT = 1 / 3  # of them
 
 Interval = tuple[float, float]
@@ -69,8 +62,8 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class LawCheck:
-    """``gap`` (n,) [V] is u minus the law; ``noise`` [V] its deviation where nothing is wrong; ``structured`` says
-    whether it is more than noise; ``addition`` is what explains it: an effect, and its parameters (n_parameters,)."""
+    """``gap`` (n,) [V] is u minus the law; ``noise`` [V] the standard deviation of its white part; ``structured`` says
+    whether it is more than noise; ``addition`` explains it: an effect, and its parameters (n_parameters,)."""
 
     gap: np.ndarray
     noise: float
@@ -110,16 +103,16 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
         return LawCheck(gap, noise, False)
     proposed = [(effect, propose_command(effect, record, gap)) for effect in library if effect.channel == "controller"]
     additions = [(effect, values) for effect, values in proposed if values is not None]
-    left = [float(np.var(gap - command_of(*addition, record))) for addition in additions]
-    if not left or min(left) > (1 - rules.LAW_NAMED) * float(np.var(gap)):
+    remaining = [float(np.var(gap - command_of(*addition, record))) for addition in additions]
+    if not remaining or min(remaining) > (1 - rules.LAW_NAMED) * float(np.var(gap)):
         return LawCheck(gap, noise, True)
-    return LawCheck(gap, noise, True, additions[left.index(min(left))])
+    return LawCheck(gap, noise, True, additions[remaining.index(min(remaining))])
 
 
-def beside_the_law(record: Record, law: LawCheck | None) -> Record:
-    """``record`` with what its controller does beside its ``law``, and no effect explains, as an excitation: known.
+def with_law_gap(record: Record, law: LawCheck | None) -> Record:
+    """``record`` with the unexplained gap of its ``law`` as a known excitation.
 
-    The plant is then judged under the command that it got.
+    The plant is then judged under the recorded command.
     """
     if law is None or not law.unexplained:
         return record
@@ -127,7 +120,7 @@ def beside_the_law(record: Record, law: LawCheck | None) -> Record:
 
 
 def law_voltage(record: Record, axis: Axis) -> np.ndarray:
-    """What the law of ``axis`` gives (n,) [V] for recorded reference and position, limited; 0 while switched off."""
+    """Command (n,) [V] of the law of ``axis`` for the recorded reference and position, limited; 0 while off."""
     law = law_of(axis, record.period, record.extra)
     limit = axis.drive.command_limit
     voltage = law.commands(law.followed(record), record.q, limit, record.f_ext)
@@ -160,12 +153,12 @@ def command_of(effect: Effect, values: np.ndarray, record: Record) -> np.ndarray
 
 
 def _noise(gap: np.ndarray) -> float:
-    """Deviation of white noise in ``gap``, from first differences, deaf to levels and edges."""
+    """Standard deviation [V] of white noise in ``gap``, from first differences, robust to steps."""
     return 1.4826 * float(np.median(np.abs(np.diff(gap)))) / np.sqrt(2) + 1e-9
 
 
 def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
-    """Say with which parameters the law of ``axis`` fits the record, where it does."""
+    """The error message, with parameters of the law of ``axis`` that fit the record, or another law that does."""
     text = (
         f"{record.name}: the voltage follows the axis file's {axis.controller.kind} law nowhere "
         f"(misses it by {miss:.3g} V rms of {swing:.3g} V)"
@@ -177,16 +170,16 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
         proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
         if proposed is not None:
             free = axis.replace(controller=proposed, drive={"command_limit": NO_LIMIT})
-            left = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
-            if left < rules.LAW_HOLDS * swing:
+            miss_of_fit = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
+            if miss_of_fit < rules.LAW_HOLDS * swing:
                 fields = kind.table.model_fields
                 fitting = " and ".join(f"{name} = {v:.5g} {unit_of(fields[name])}" for name, v in proposed.items())
                 return f"{text}; {fitting} fit it, correct the axis file"
     from emps_design.identification.controller import TOLD, identify_law
 
-    found = identify_law(record, axis.drive.command_unit)
-    if found.verdict == TOLD:
-        return f"{text}; {found.in_words} does and leaves {found.residual_rms:.3g}, correct the axis file"
+    identified = identify_law(record, axis.drive.command_unit)
+    if identified.verdict == TOLD:
+        return f"{text}; {identified.in_words} does and leaves {identified.residual_rms:.3g}, correct the axis file"
     return f'{text}; give the controller that made this record, or kind = "none"'
 
 
@@ -248,17 +241,17 @@ def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
         )
     own = {source["record"] for source in recorded_gains(axis).values()}
     for name in sorted((DRIVE - own) & record.extra.keys() & other.extra.keys()):
-        found, expected = (float(np.ravel(r.extra[name])[0]) for r in (other, record))
-        if not np.isclose(found, expected, rtol=1e-6):
+        actual, expected = (float(np.ravel(r.extra[name])[0]) for r in (other, record))
+        if not np.isclose(actual, expected, rtol=1e-6):
             raise RecordError(
-                f"{other.name}: found {name} = {found:g}, expected {expected:g} of {record.name}; all records must "
+                f"{other.name}: found {name} = {actual:g}, expected {expected:g} of {record.name}; all records must "
                 "come from one drive"
             )
 
 
-def same_run(one: Record, other: Record) -> bool:
+def same_run(record: Record, other: Record) -> bool:
     """Whether two records hold the same measurement, whatever their names."""
-    return len(one) == len(other) and np.array_equal(one.q, other.q) and np.array_equal(one.u, other.u)
+    return len(record) == len(other) and np.array_equal(record.q, other.q) and np.array_equal(record.u, other.u)
 
 
 def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
@@ -267,14 +260,14 @@ def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
     return bool(np.std(v) < rules.ONE_SPEED * abs(np.mean(v)))
 
 
-def told_by_one_speed(effect: Effect) -> bool:
-    """Whether one speed tells ``effect``: a force with a place on the travel, or with a time, and no friction."""
+def identifiable_at_one_speed(effect: Effect) -> bool:
+    """Whether one speed identifies ``effect``: a force at a place on the travel, or at a time, and no friction."""
     force = effect.channel == "plant" and effect.inertia is None and effect.dry is None
     return force and effect.over in ("q", "t")
 
 
 def _not_excited(record: Record) -> list[str]:
-    """What the speeds of ``record`` leave open."""
+    """What the speeds of ``record`` do not excite, one sentence each."""
     v = np.gradient(record.q_ref, record.period)
     fastest = float(np.abs(v).max())
     steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01) & (np.abs(v) > 0.02 * fastest)]
@@ -289,10 +282,9 @@ def _not_excited(record: Record) -> list[str]:
 
 @dataclass(frozen=True)
 class Confirming:
-    """Which data confirm, in words: ``what`` they are, ``chosen`` "given", "kept", "in turn" or "none", ``time`` [s] of
-    a part.
+    """Which data confirm: ``what`` in words, ``chosen`` "given", "kept", "in turn" or "none", ``time`` [s] of a part.
 
-    ``what`` says for "none" why nothing was kept.
+    ``what`` says for "none" why nothing was held out.
     """
 
     what: str
@@ -301,12 +293,12 @@ class Confirming:
 
     @property
     def opened(self) -> Confirming:
-        """The same where what was kept has something that the rest lacks: then all is fitted."""
+        """The same where the part held out differs from the rest: then all is fitted."""
         return Confirming(f"{self.what}, kept closed at first, has something that the rest lacks", "none")
 
     @property
     def sentence(self) -> str:
-        """What the errors and shares are of, for who reads the answer; nothing where a record was given for it."""
+        """What data the errors and shares refer to; empty where the user gave the data."""
         if self.chosen == "kept":
             return f"Nothing was fitted to {self.what}, kept closed to confirm."
         if self.chosen == "in turn":
@@ -328,14 +320,14 @@ class Confirming:
         }
 
 
-def given(record: Record, time: Interval | None = None) -> Confirming:
-    """Say that ``record``, or the interval ``time`` [s] of it, was given to confirm."""
+def user_choice(record: Record, time: Interval | None = None) -> Confirming:
+    """``record``, or the interval ``time`` [s] of it, as the user's data to confirm."""
     part = "" if time is None else f"{time[0]:.4g} to {time[1]:.4g} s of "
     return Confirming(f"{part}{record.name}", "given", time)
 
 
 def kept_closed(records: tuple[Record, ...], fit_time: Interval | None = None) -> Confirming:
-    """Choose what of ``records`` to keep closed within ``fit_time`` [s]: of several, which are fitted whole, nothing.
+    """Choose the part of ``records`` to hold out within ``fit_time`` [s]; nothing of several records.
 
     >>> wave = np.abs(np.arange(6000) % 1000 - 500.0) * 1e-3
     >>> kept_closed((Record.from_arrays(1e-3, wave, wave, wave, name="run"),)).sentence
@@ -359,8 +351,8 @@ fitted; give another record as `holdout`.'
     else:
         count = int(KEPT * len(inside))
         start, stop, what = inside[-count][0], end, f"the last {count} of {_strokes(len(inside))}"
-    left = end - begin - (stop - start)
-    if stop - start < START_UP + rules.FEWEST_TO_CONFIRM or left < rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT:
+    remaining = end - begin - (stop - start)
+    if stop - start < START_UP + rules.FEWEST_TO_CONFIRM or remaining < rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT:
         return Confirming(f"{record.name} has {end - begin} samples to fit", "none")
     time = float(record.t[start]), float(record.t[stop - 1]) + 0.5 * record.period
     shown = f"{time[0]:.4g} to {time[0] + (stop - start) * record.period:.4g} s"
@@ -373,9 +365,9 @@ def _strokes(number: int) -> str:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The data that confirm, as a problem of their own; ``window`` (start, stop) [s] where they are part of a record.
+    """The data that confirm, as a problem; ``window`` (start, stop) [s] where they are part of a record.
 
-    Without a ``law`` the controller is unknown, or does what it does on the training record that this is a part of.
+    ``law`` is None where the controller is unknown, or the data are part of the training record.
     """
 
     problem: Problem
@@ -396,10 +388,11 @@ class HeldOut:
 class Preparation:
     """What a diagnosis starts from.
 
-    ``records`` are as they were given; ``start`` is the axis file's own model of them, with what the controller adds to
-    its law; ``library`` are the effects to look for, ``laws`` the checks of the controller's law, one per record where
-    the controller is known. ``confirming`` says what ``held_out`` is, or why it is None. ``direction`` is 1 or -1 where
-    all goes one way: then Coulomb friction and the constant force are one, and the latter stays as the axis file says.
+    ``records`` are the user's; ``start`` is the axis file's model of them, with the controller's addition to its law;
+    ``library`` are the candidate effects, ``laws`` the checks of the controller's law, one per record where the
+    controller is known. ``confirming`` describes ``held_out``, or why it is None. ``direction`` is 1 or -1 where all
+    motion is one way: then only the sum of Coulomb friction and constant force is determined, and the latter stays as
+    in the axis file.
     """
 
     records: tuple[Record, ...]
@@ -426,14 +419,14 @@ def prepare(
     confirm_time: Interval | None,
     opened: Confirming | None = None,
 ) -> Preparation:
-    """Check the records and the controller's law, size the library to the axis, split what may be fitted.
+    """Check the records and the controller's law, scale the library to the axis, and split the training samples.
 
-    What confirms stays closed: ``holdout``, or ``confirm_time`` [s] of the first record, or else what can be spared,
-    unless that was ``opened``.
+    Held out is ``holdout``, or ``confirm_time`` [s] of the first record, or else the part of :func:`kept_closed`;
+    nothing with ``opened``.
     """
     confirming = opened or _confirming(records, holdout, fit_time, confirm_time)
     confirm_time = confirming.time
-    dropped, first = [one.effect.name for one in axis.effects], records[0]
+    dropped, first = [entry.effect.name for entry in axis.effects], records[0]
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
     factors = sizes(first.q, first.u, first.period, axis.drive.gain)
     lines = (line for effect in library if effect.acts_on(axis.motion) for line in effect.several())
@@ -443,26 +436,26 @@ def prepare(
         warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
     for other in (*records[1:], *(() if holdout is None else (holdout,))):
         check_same_drive(first, other, axis)
-    for one, other in combinations(records, 2):
-        if same_run(one, other):
-            raise InputError(f"{other.name}: is the record {one.name} again; give each record once")
+    for earlier, other in combinations(records, 2):
+        if same_run(earlier, other):
+            raise InputError(f"{other.name}: is the record {earlier.name} again; give each record once")
     known, law = axis.controller.kind != "none", None
     if holdout is not None:
         if any(same_run(holdout, record) for record in records):
             raise InputError(f"{holdout.name}: is a training record too; confirm on one that nothing was fitted to")
         warnings += check_records((holdout,), axis)
-        # A foreign controller is to be refused before the search; the law says nothing of the plant.
+        # Another controller is refused before the search; the law says nothing about the plant.
         law = check_law(holdout, axis, library) if known else None
     laws = tuple(check_law(record, axis, library) for record in records if known)
-    judged = tuple(map(beside_the_law, records, laws)) if known else records
+    judged = tuple(map(with_law_gap, records, laws)) if known else records
     splits = _splits(records, fit_time, confirm_time)
-    # Nothing of a record is simulated behind the last sample that is fitted: no filter sees what confirms.
-    ends = [int(np.flatnonzero(one.used)[-1]) + 1 if one.used.any() else len(one.fit) for one in splits]
+    # A record ends at the last fitted sample, so that no filter uses held-out samples.
+    ends = [int(np.flatnonzero(part.used)[-1]) + 1 if part.used.any() else len(part.fit) for part in splits]
     searched, splits = tuple(map(Record.until, judged, ends)), tuple(map(Split.until, splits, ends))
     problem = Problem(axis, searched, splits, Whitening.none())
     held_out = None
     if holdout is not None or confirm_time is not None:
-        record, window = judged[0] if holdout is None else beside_the_law(holdout, law), None
+        record, window = judged[0] if holdout is None else with_law_gap(holdout, law), None
         inside = np.ones(len(record), bool)
         if confirm_time is not None:
             inside = between(record, confirm_time, "`confirm_time`")
@@ -473,7 +466,7 @@ def prepare(
     direction = one_direction(searched)
     if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
-        library = tuple(filter(told_by_one_speed, library))
+        library = tuple(filter(identifiable_at_one_speed, library))
         warnings.append(ONE_SPEED)
         direction = 0
     elif direction:
@@ -488,12 +481,12 @@ def _confirming(
     records: tuple[Record, ...], holdout: Record | None, fit_time: Interval | None, confirm_time: Interval | None
 ) -> Confirming:
     if holdout is not None:
-        return given(holdout)
-    return kept_closed(records, fit_time) if confirm_time is None else given(records[0], confirm_time)
+        return user_choice(holdout)
+    return kept_closed(records, fit_time) if confirm_time is None else user_choice(records[0], confirm_time)
 
 
 def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time: Interval | None) -> tuple[Split, ...]:
-    """What fits and what selects of each record; refuses what is too little."""
+    """The fitting and selecting samples of each record; raises :class:`InputError` where they are too few."""
     allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "`fit_time`") for r in records]
     if confirm_time is not None:
         kept = between(records[0], confirm_time, "`confirm_time`")
@@ -529,7 +522,7 @@ def _as_the_axis_says(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate
     if first is None:
         return start
     effect, values = first
-    # A record without the disturbance has none of it, whatever its rhythm elsewhere.
+    # On a record without the disturbance its amplitude is zero.
     idle = np.where([p.unit == "V" for p in effect.parameters], 0.0, values)
     rows = [idle if addition is None or addition[0] is not effect else addition[1] for addition in additions]
     return start.with_effect(effect, np.array(rows))

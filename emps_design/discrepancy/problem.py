@@ -1,6 +1,6 @@
 """The records to explain and their noise, and a hypothesis about them: a candidate model simulated in closed loop.
 
-Residuals of models that were simulated before: a search comes back to them, with other noise or neighbours.
+Residuals are cached: a search returns to the same models, with other noise or beside other effects.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Whitening
-from emps_design.discrepancy.records import START_UP, Recorded, Split, drive, followed
+from emps_design.discrepancy.records import START_UP, Recorded, Split, drive, in_followed_band
 from emps_design.effects.effect import MASS
 from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 
-MOST = 128e6  # bytes of residuals that are kept, those asked for last
+MOST = 128e6  # bytes of residuals in the cache, most recently used
 
-OPEN_LOOP = ("disturbance", "q0", "supply", "enable")  # of what drives a record, all but the law and what it follows
+OPEN_LOOP = ("disturbance", "q0", "supply", "enable")  # drive of a record without the law and its reference
 LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
-RANK = 1e-6  # of the largest singular value of several functions, below which a combination is none
+RANK = 1e-6  # of the largest singular value of several functions, below which a combination counts as zero
 
 
 class Remembered:
-    """What was computed for the same objects and the same numbers; a copy or a pickle of it is empty.
+    """Cache of arrays by the identity of objects and the values of numbers; a copy or a pickle of it is empty.
 
     >>> remembered, axis = Remembered(), object()
     >>> remembered.get((axis,), [np.ones(1)], lambda: (np.zeros(2),))
@@ -53,30 +53,29 @@ class Remembered:
         numbers: Sequence[np.ndarray],
         compute: Callable[[], tuple[np.ndarray, ...]],
     ) -> tuple[np.ndarray, ...]:
-        """What ``compute`` gave for ``objects`` and ``numbers``, or gives now: arrays that are not to be changed."""
-        key = (*map(id, objects), *(one.tobytes() for one in numbers))
-        found = self._kept.pop(key, None)  # by one thread: another that asks at the same time computes it too
-        if found is None:
+        """The arrays of ``compute`` for ``objects`` and ``numbers``, from the cache where possible; read-only."""
+        key = (*map(id, objects), *(array.tobytes() for array in numbers))
+        entry = self._kept.pop(key, None)  # atomic: a second thread at the same time computes it too
+        if entry is None:
             arrays = compute()
-            for one in arrays:
-                one.flags.writeable = False
-            found = objects, arrays
-        self._kept[key] = found
-        most = MOST // max(1, sum(one.nbytes for one in found[1]))
+            for array in arrays:
+                array.flags.writeable = False
+            entry = objects, arrays
+        self._kept[key] = entry
+        most = MOST // max(1, sum(array.nbytes for array in entry[1]))
         while len(self._kept) > most:
             self._kept.popitem(last=False)
-        return found[1]
+        return entry[1]
 
 
 @dataclass(frozen=True)
 class Problem:
     """Records of one axis and what is needed to judge a model of them.
 
-    ``states`` are functions (n, k) along each record that explain nothing: what they could follow of the used samples
-    is taken from every residual. ``loudness`` (n,) along each record is how large noise gets in the innovations, which
-    count for that much less. ``acting`` is a force (n,) [N] on the carriage along each record besides what was
-    measured. ``known`` is what was read from the records before, ``remembered`` are residuals of the same records,
-    judged with other noise too.
+    ``states`` are functions (n, k) along each record whose span is projected out of every residual on the used samples.
+    ``loudness`` (n,) along each record is the gain of noise in the innovations, which are divided by it. ``acting`` is
+    a force (n,) [N] on the carriage along each record besides the measured one. ``known`` are quantities computed from
+    the records once, ``remembered`` residuals of the same records, also for other noise.
     """
 
     axis: Axis
@@ -95,7 +94,7 @@ class Problem:
 
     @property
     def recorded(self) -> Recorded:
-        """What is read from the records once, whatever model or noise they are judged by."""
+        """Quantities of the records that depend on no model and no noise."""
         assert self.known is not None
         return self.known
 
@@ -106,21 +105,21 @@ class Problem:
 
     @property
     def follows(self) -> bool:
-        """Whether models follow the recorded motion, for want of the controller that made it."""
+        """Whether models follow the recorded motion because the controller is unknown."""
         return self.recorded.follows
 
-    def compared(self, left: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        """What counts of the forces (n,) [N] that a model leaves, one per record: all, unless it follows the motion."""
-        return tuple(map(followed, left, self.records, self.recorded.bands)) if self.follows else left
+    def compared(self, forces: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """Residual ``forces`` (n,) [N], one per record, low-passed where the model follows the recorded motion."""
+        return tuple(map(in_followed_band, forces, self.records, self.recorded.bands)) if self.follows else forces
 
     def only(self, record: int) -> Problem:
-        """One of the records, by its number, as a problem of its own; its models are :meth:`Candidate.only`."""
-        one = slice(record, record + 1)
+        """The problem of one record, by its number; its models are :meth:`Candidate.only`."""
+        chosen = slice(record, record + 1)
         alone = ("records", "splits", "states", "loudness", "acting")
-        return replace(self, **{name: getattr(self, name)[one] for name in alone})
+        return replace(self, **{name: getattr(self, name)[chosen] for name in alone})
 
     def with_acting(self, forces: Sequence[np.ndarray]) -> Problem:
-        """The same records with ``forces`` (n,) [N] on the carriage, one per record, besides what acts already."""
+        """The same records with ``forces`` (n,) [N] on the carriage, one per record, besides those acting already."""
         acting = tuple(a + b for a, b in zip(self.acting, forces, strict=True)) if self.acting else tuple(forces)
         return replace(self, acting=acting, remembered=Remembered())
 
@@ -129,17 +128,17 @@ class Problem:
         return replace(self, whitening=whitening)
 
     def whiten(self, forces: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-        """Innovations of ``forces`` [N], (n,) or (n, k) per record in units of noise, less what ``states`` follow."""
+        """Innovations of ``forces`` [N], (n,) or (n, k) per record, in units of noise, ``states`` projected out."""
         apply = self.whitening.apply
         innovations = tuple(apply(f) if f.ndim == 1 else np.apply_along_axis(apply, 0, f) for f in forces)
         if self.loudness:
             innovations = tuple((x.T / loud).T for x, loud in zip(innovations, self.loudness, strict=True))
         if not self.states:
             return innovations
-        return tuple(x - basis @ (basis.T @ x) for x, basis in zip(innovations, self._followed, strict=True))
+        return tuple(x - basis @ (basis.T @ x) for x, basis in zip(innovations, self._states_basis, strict=True))
 
-    def unfollowed(self, forces: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-        """``forces`` (n,) [N], one per record, less what ``states`` follow."""
+    def without_states(self, forces: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+        """``forces`` (n,) [N], one per record, with ``states`` projected out."""
         return tuple(map(self.whitening.undo, self.whiten(forces))) if self.states else forces
 
     def noise(self, seed: int) -> tuple[np.ndarray, ...]:
@@ -148,10 +147,13 @@ class Problem:
         return tuple(self.whitening.undo(generator.standard_normal(len(record))) for record in self.records)
 
     @cached_property
-    def _followed(self) -> tuple[np.ndarray, ...]:
-        """An orthonormal basis (n, k) per record of what ``states`` follow of the innovations, 0 where none is used."""
+    def _states_basis(self) -> tuple[np.ndarray, ...]:
+        """An orthonormal basis (n, k) per record of the whitened ``states``, 0 on unused samples."""
         columns = replace(self, states=()).whiten(self.states)
-        return tuple(orthonormal(one * used[:, None]) for one, used in zip(columns, self.masks("used"), strict=True))
+        return tuple(
+            orthonormal(innovations * used[:, None])
+            for innovations, used in zip(columns, self.masks("used"), strict=True)
+        )
 
     def masks(self, part: str) -> tuple[np.ndarray, ...]:
         """Boolean samples of ``part``: "fit", "select" or "used"."""
@@ -166,23 +168,23 @@ class Problem:
         return np.concatenate(self.pick(signals, part))
 
     def strokes(self, part: str) -> list[slice]:
-        """The strokes of all records as pieces of the samples of ``part``, gathered in one vector."""
+        """The strokes of all records as slices of the samples of ``part`` in one vector."""
         edges, before = {0}, 0
         for split, mask in zip(self.splits, self.masks(part), strict=True):
-            seen = np.concatenate(([0], np.cumsum(mask)))
-            edges.update(before + int(seen[stop]) for _, stop in split.strokes)
-            before += int(seen[-1])
+            counts = np.concatenate(([0], np.cumsum(mask)))
+            edges.update(before + int(counts[stop]) for _, stop in split.strokes)
+            before += int(counts[-1])
             edges.add(before)
         return [slice(start, stop) for start, stop in itertools.pairwise(sorted(edges))]
 
     def samples(self, part: str) -> int:
-        """Number of samples of ``part``: the whitened cost that noise alone leaves."""
+        """Number of samples of ``part``: the whitened cost of noise alone."""
         return int(sum(mask.sum() for mask in self.masks(part)))
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A candidate model of the records of a problem: what it simulates, and what it leaves of the motor force.
+    """A candidate model of the records of a problem, its simulations and residuals.
 
     The encoder is taken as exact, so that the residual is a smooth function of the parameters; its quantisation is
     part of the noise.
@@ -195,7 +197,7 @@ class Hypothesis:
         """Another model of the same records."""
         return Hypothesis(self.problem, model)
 
-    def as_given(self) -> Hypothesis:
+    def with_axis_baseline(self) -> Hypothesis:
         """The same effects on the axis file's baseline."""
         return self.with_model(replace(self.model, baseline=self.problem.axis.mechanics.array()))
 
@@ -216,14 +218,14 @@ class Hypothesis:
         return plant.closed_loop(**drive, baseline=self.model.baseline, quantise=False, tolerance=LOOSE)
 
     def driven(self, record: int) -> dict[str, Any]:
-        """Keywords of :meth:`simulate` that make it start and move as record number ``record`` did."""
+        """Keywords of :meth:`simulate` with the initial state and the drive of record number ``record``."""
         recorded, mass = self.problem.recorded, self.model.baseline[MASS]
         return drive(recorded.starts[record], recorded.axis, recorded.records[record], mass, recorded.bands[record])
 
     def run(self, record: int, disturbance: np.ndarray | None = None) -> Run:
-        """Simulation of one record from ``q_ref`` alone (of the recorded motion without a controller).
+        """Simulation of one record from ``q_ref`` alone; without a controller, following the recorded motion.
 
-        ``disturbance`` (n,) [N] acts on the carriage besides what was measured and what acts in the problem.
+        ``disturbance`` (n,) [N] acts on the carriage besides the measured force and ``acting`` of the problem.
         """
         how = self.driven(record)
         for force in (disturbance, *self.problem.acting[record : record + 1]):
@@ -237,10 +239,10 @@ class Hypothesis:
         return tuple(self.run(record, push) for record, push in enumerate(pushes))
 
     def free_run_error(self) -> float:
-        """Rms [m/s] by which the velocity misses the recorded one where the recorded command alone drives the model.
+        """Rms velocity error [m/s] of the model driven by the recorded command alone.
 
         In the band in which a model that follows its record is compared. Raises :class:`SimulationError` where the
-        motion has no bound.
+        motion is unbounded.
         """
         problem, missed = self.problem, []
         for number, (record, band_hz) in enumerate(zip(problem.records, problem.recorded.bands, strict=True)):
@@ -249,14 +251,15 @@ class Hypothesis:
             run = plant.open_loop(
                 record.u, period=record.period, baseline=self.model.baseline, quantise=False, tolerance=LOOSE, **how
             )
-            missed.append(followed(np.gradient(record.q - run.q, record.period), record, band_hz)[START_UP:])
+            missed.append(in_followed_band(np.gradient(record.q - run.q, record.period), record, band_hz)[START_UP:])
         return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))
 
     def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         """Measured minus simulated motor force [N], one array (n,) per record, under ``disturbance`` as in `runs`.
 
-        A motor that is switched off has no force to compare: there it is what the law would ask for. Where the model
-        follows the recorded motion, only what the law that follows can tell is compared.
+        While the motor is off there is no force to compare: the commands of the law along the measured and the
+        simulated motion are compared instead. A model that follows the recorded motion is compared in the band of its
+        position law only.
         """
         if disturbance is not None:
             return self._residuals(disturbance)
@@ -266,11 +269,11 @@ class Hypothesis:
 
     def _residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         problem, recorded = self.problem, self.problem.recorded
-        left = tuple(
+        forces = tuple(
             recorded.forces[number] - run.force + recorded.missing_while_off(number, run.q)
             for number, run in enumerate(self.runs(disturbance))
         )
-        return problem.compared(left)
+        return problem.compared(forces)
 
     def whitened(self) -> tuple[np.ndarray, ...]:
         """Innovations of :meth:`residuals` in units of the noise."""
@@ -281,26 +284,26 @@ class Hypothesis:
         return self.problem.gather(self.whitened(), part)
 
     def excess(self) -> float:
-        """Whitened cost of all that may be used over that of noise alone."""
+        """Whitened cost of all used samples minus that of noise alone."""
         innovations = self.residual("used")
         return float(innovations @ innovations) - innovations.size
 
-    def left(self) -> list[np.ndarray]:
-        """What the model leaves of the force [N] on the used samples, one array (n_used,) per record.
+    def remaining_force(self) -> list[np.ndarray]:
+        """Measured minus simulated force [N] on the used samples, one array (n_used,) per record.
 
-        Without what the problem's ``states`` follow.
+        With the problem's ``states`` projected out.
         """
-        return self.problem.pick(self.problem.unfollowed(self.residuals()), "used")
+        return self.problem.pick(self.problem.without_states(self.residuals()), "used")
 
 
 def of_unit_length(columns: np.ndarray) -> np.ndarray:
-    """``columns`` (n, k) of length 1, without those that are zero."""
+    """``columns`` (n, k) normalised to length 1, without those that are zero."""
     size = np.linalg.norm(columns, axis=0)
     moving = size > 0
     return columns / size if moving.all() else columns[:, moving] / size[moving]
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis (n, k) of ``columns``; of columns that are all zero it has none."""
+    """An orthonormal basis (n, r) of ``columns`` (n, k); r is their rank, 0 where all are zero."""
     basis, singular, _ = np.linalg.svd(of_unit_length(columns), full_matrices=False)
     return basis[:, singular > RANK * singular.max(initial=0.0)]

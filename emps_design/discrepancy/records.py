@@ -1,12 +1,11 @@
-"""Records of one axis, with what is read from them once, whatever model and whatever noise they are judged by.
+"""Records of one axis: their drive, their motion, and their split into strokes and laps.
 
-What drives the simulation of a record: its reference through the controller, or the recorded motion itself.
+A simulation of a record is driven by its reference through the controller, or by the recorded motion. Where the
+controller is not known (``controller.kind = "none"``) the model becomes an inverse model: it gets the recorded voltage,
+and a position law adds what keeps it on the recorded motion. That correction is the force the model lacks, within the
+bandwidth of the law, with all hidden states of the model simulated.
 
-Where the controller is not known (``controller.kind = "none"``) the model becomes an inverse model: it gets the
-recorded voltage, and a position law of this module adds what keeps it on the recorded motion. That correction is the
-force the model lacks, seen through the bandwidth of the law, with every hidden state of the model in its place.
-
-Whole strokes and repeated laps of a record: what is fitted on, what selects, what repeats.
+Whole strokes or laps of a record fit and select.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ IN_BAND = 0.9  # of the power of a command
 BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
 LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
 FAST_SAMPLES = 12  # the same where the command itself is that fast
-COMPARED = 1.3  # of that bandwidth, up to which forces count: beyond it the law passes on the encoder's noise
+COMPARED = 1.3  # of that bandwidth, up to which forces are compared: beyond it the law amplifies the encoder's noise
 POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
 
-CUTOFF_HZ = 60.0  # up to which forces are looked at where the command is no faster
+CUTOFF_HZ = 60.0  # of the missing force where the command is no faster
 FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
-NOISY = 0.03  # of an acceleration: most that the noise of the encoder may be in the band that is looked at
+NOISY = 0.03  # of an acceleration: largest encoder noise in the band of the motion
 
 START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
-FEWEST_STROKES, PARTS = 3, 4  # fewer strokes than that, of all records, are taken in so many parts each
-MOST_TURNS = 12  # of a shaft that turns on and on: pieces that are whole strokes to it
+FEWEST_STROKES, PARTS = 3, 4  # with fewer strokes in all records, each is split into so many parts
+MOST_TURNS = 12  # largest number of pieces that stand for the strokes of a shaft turning one way
 
 
 def band(record: Record) -> float:
-    """The frequency [Hz] below which nine tenths of what the command changes lie.
+    """The frequency [Hz] below which nine tenths of the power of the command lie.
 
     >>> t = np.arange(4000) * 1e-3
     >>> round(band(Record(t, t, t, np.sin(2 * np.pi * 72 * t), 1e-3)))
@@ -66,17 +65,17 @@ def _fastest(record: Record) -> float:
     return 1 / (FAST_SAMPLES * record.period)
 
 
-def followed(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
-    """What of a ``force`` (n,) [N] that keeps a model on ``record`` is for its motion, not for the encoder's noise."""
+def in_followed_band(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
+    """The ``force`` (n,) [N] that keeps a model on ``record``, low-passed to the band of the law that follows."""
     return low_pass(force, COMPARED * bandwidth(record, band_hz), record.period)
 
 
 def drive(start: dict[str, Any], axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
-    """Keywords of :meth:`Plant.closed_loop` that make the simulation of ``record`` start and move as it did.
+    """Keywords of :meth:`Plant.closed_loop` with the initial state and the drive of ``record``.
 
-    ``start`` is :func:`~emps_design.simulation.run.driven_by` of ``axis`` and ``record``; ``mass`` [kg] is the
-    model's: a heavier one would else be followed less, and leave less of the force, and the loop of a much lighter one
-    would be too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
+    ``start`` is :func:`~emps_design.simulation.run.driven_by` of ``axis`` and ``record``; ``mass`` [kg] is the model's
+    and scales the gains of the law that follows: the loop of a heavier model would be slower and show less of the
+    force, that of a much lighter one too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
     """
     if "law" in start:
         return dict(start)
@@ -100,12 +99,12 @@ class Recorded:
 
     @property
     def follows(self) -> bool:
-        """Whether models follow the recorded motion, for want of the controller that made it."""
+        """Whether models follow the recorded motion because the controller is unknown."""
         return bool(self.axis.controller.kind == NONE)
 
     @cached_property
     def starts(self) -> tuple[dict[str, Any], ...]:
-        """What drives the simulation of every record, but for a law that follows its motion."""
+        """Drive of the simulation of every record, without a law that follows its motion."""
         return tuple(driven_by(self.axis, record) for record in self.records)
 
     @cached_property
@@ -115,42 +114,42 @@ class Recorded:
 
     @cached_property
     def forces(self) -> tuple[np.ndarray, ...]:
-        """The motor force (n,) [N] that the command of every record asks for."""
+        """The motor force (n,) [N] of the command of every record."""
         return tuple(motor_force(self.axis, record) for record in self.records)
 
     @cached_property
-    def asked(self) -> tuple[np.ndarray | None, ...]:
-        """What the law asks for (n,) along every record in which the motor is switched off, None of the others."""
+    def off_commands(self) -> tuple[np.ndarray | None, ...]:
+        """Commands (n,) of the law along every record in which the motor is off at times, None for the others."""
         off = [not self.follows and record.enable is not None and not record.enable.all() for record in self.records]
         return tuple(self.commands(i, record.q) if off[i] else None for i, record in enumerate(self.records))
 
     def commands(self, number: int, q: np.ndarray) -> np.ndarray:
-        """What the law of record ``number`` would ask for (n,) along the positions ``q`` (n,) [m], without a limit."""
+        """Commands (n,) of the law of record ``number`` along the positions ``q`` (n,) [m], without a limit."""
         start = self.starts[number]
         return commands_of(start["law"], start["reference"], q, np.inf, self.records[number].f_ext)
 
     def missing_while_off(self, number: int, q: np.ndarray) -> np.ndarray | float:
-        """What the law would ask for along record ``number``, less what it would along ``q`` (n,) [N].
+        """Motor force (n,) [N] of the law's commands along record ``number``, minus those along ``q`` (n,) [m].
 
         0 while the motor is on.
         """
-        asked, record = self.asked[number], self.records[number]
-        if asked is None:
+        command, record = self.off_commands[number], self.records[number]
+        if command is None:
             return 0.0
-        more = motor_force(self.axis, replace(record, u=asked - self.commands(number, q), enable=None))
+        more = motor_force(self.axis, replace(record, u=command - self.commands(number, q), enable=None))
         return np.where(record.enable == 0.0, more, 0.0)
 
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
-        """The motion of every record in the band in which its acceleration is seen."""
-        return tuple(motion(record, seen_up_to(record)) for record in self.records)
+        """The motion of every record in its :func:`acceleration_band`."""
+        return tuple(motion(record, acceleration_band(record)) for record in self.records)
 
 
-def seen_up_to(record: Record) -> float:
-    """Band [Hz] in which the encoder's noise is a small part of the acceleration, from ``CUTOFF_HZ`` on.
+def acceleration_band(record: Record) -> float:
+    """Band [Hz] in which the encoder's noise is a small part of the acceleration, at least ``CUTOFF_HZ``.
 
-    An inertia that is missed changes how the loop answers up to where it has gain. The noise, taken as white, is what
-    is seen of the position beyond any motion, its usual size: impacts are motion.
+    A missing inertia changes the response of the loop up to its bandwidth. The noise, taken as white, is the median
+    size of the position above the fastest motion; impacts are motion.
     """
     fastest = FASTEST / record.period
     beyond = np.abs(record.q - low_pass(record.q, fastest, record.period))
@@ -166,7 +165,7 @@ class Split:
     """Boundaries of strokes and laps [samples], and the samples that fit and that select, as boolean arrays.
 
     Laps alternate between fitting and selecting where there are more than three (the start of the first is left out),
-    strokes otherwise, or parts of strokes where there are too few, so that whatever changes with time is seen by both.
+    strokes otherwise, or parts of strokes where there are too few, so that both cover the whole time.
     """
 
     strokes: tuple[tuple[int, int], ...]
@@ -188,13 +187,13 @@ class Split:
 def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, parts: int = 1) -> Split:
     """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all.
 
-    ``before`` is the number of strokes of the records before this one, so that single strokes take turns too; ``parts``
-    into how many each is taken apart.
+    ``before`` is the number of strokes of the records before this one, so that single strokes alternate too; each
+    stroke is split into ``parts``.
     """
     n = len(record)
     allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
     allowed[:START_UP] = False
-    # Nor behind a gap, in which the model went its own way.
+    # Nor after a gap, during which the model may have drifted away.
     allowed &= np.convolve(record.in_gap, np.ones(2 * START_UP + 1), "same") < 0.5
     strokes = find_strokes(record.q_ref, record.period)
     if parts > 1:
@@ -211,7 +210,7 @@ def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, 
 
 
 def _parts(q: np.ndarray, start: int, stop: int, count: int) -> list[tuple[int, int]]:
-    """``count`` parts of a stroke of ``q`` (n,), of as much time and travel together: a long rest tells little.
+    """Samples of ``count`` parts of a stroke of ``q`` (n,) with equal sums of relative time and travel.
 
     >>> _parts(np.concatenate([np.arange(100.0), np.full(300, 99.0)]), 0, 400, 2)
     [(0, 80), (80, 400)]
@@ -223,7 +222,7 @@ def _parts(q: np.ndarray, start: int, stop: int, count: int) -> list[tuple[int, 
 
 
 def find_lap(q_ref: np.ndarray) -> int:
-    """Return the number of samples after which ``q_ref`` (n,) [m] repeats itself, 0 where it does not within n/2."""
+    """Return the period [samples] of ``q_ref`` (n,) [m], 0 where it does not repeat within n/2."""
     n = q_ref.size
     centred = q_ref - q_ref.mean()
     energy = np.concatenate(([0.0], np.cumsum(centred**2)))
@@ -243,10 +242,9 @@ def find_lap(q_ref: np.ndarray) -> int:
 
 
 def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...]:
-    """Cut where the reference (n,) [m] changes direction; standstill belongs to the stroke before it.
+    """Strokes (start, stop) between reversals of the reference (n,) [m]; standstill belongs to the stroke before it.
 
-    A shaft that turns on and on the same way never does: there every piece of at least a turn, which meets the same
-    places again, is a stroke.
+    A shaft that turns one way has none: there every piece of at least one turn is a stroke.
     """
     velocity = np.gradient(q_ref, period)
     direction = np.sign(velocity) * (np.abs(velocity) > 1e-3 * np.abs(velocity).max())

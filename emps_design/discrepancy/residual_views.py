@@ -1,6 +1,6 @@
-"""Pictures of what a model leaves: the residual force over each quantity it could depend on, before and after.
+"""Views of the residual force over each quantity it could depend on, before and after, and where a force acts.
 
-Where a force acts: the shortest interval of each coordinate that holds most of it, in numbers and words.
+The extent of a force is the shortest interval of each coordinate that contains most of it.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from emps_design.effects import Motion
 from emps_design.effects.guesses import squares_explained, thin
 from emps_design.records import Record
 
-SHARE = 0.8  # of the squared force that an extent holds
-LOCAL = 0.3  # an extent is worth words when it covers less than this share of what the record visits
-LONG = 0.9  # the same for one interval of time, which may begin with an event and last
-CELLS = 160  # of a coordinate; an extent is read to one of them
-RESTING = 0.02  # of the top speed, from which on an extent of velocity begins at rest
+SHARE = 0.8  # of the squared force inside an extent
+LOCAL = 0.3  # share of the range of the record below which an extent is local
+LONG = 0.9  # the same for one interval of time, which may begin with an event
+CELLS = 160  # of a coordinate: resolution of an extent
+RESTING = 0.02  # of the upper speed: an extent of velocity that begins below it begins at rest
 EVERYWHERE = "everywhere the record goes"
 REVERSAL_TIME = 0.1  # s on both sides of a reversal
 SMOOTH_TIME = 0.02  # s
 CELL_TIME = 0.05  # s
-APART = 0.3  # s between two intervals of time that are not one
-SEEN = 0.05  # of the largest mean square, from which on a cell of time counts
+APART = 0.3  # s between two separate intervals of time
+SEEN = 0.05  # of the largest mean square, from which a cell of time counts
 MOST_INTERVALS = 6  # more are not events
-PEAK = 0.995  # quantile of the force that "up to" means
-ONE_SIDED = 0.7  # share of the force that resists, or drives, from which on it is "more", or "less"
+PEAK = 0.995  # quantile of the force for "up to"
+ONE_SIDED = 0.7  # share of the force that resists, or drives, from which it is "more", or "less"
 
 REVERSAL_DRAWN = 0.2  # s, drawn on both sides of a reversal
 MAP_CELLS = 36  # of position and of velocity in the map
 LINE_TIME = 0.5  # s of a piece of the spectrum over time
 HIGHEST_HZ = 100.0  # drawn of spectra
-FEWEST = 5  # samples, from which on a bin has a mean
+FEWEST = 5  # samples that a bin must exceed to have a mean
 SPECTRAL = ("frequency", "period of position")  # quantities over which a view has amplitudes
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Where a force acts: intervals of speed [m/s], position [m] and time [s], the ``share`` of what the
-    record visits in each, and how the force is spread over directions, reversals and frequencies."""
+    """Where a force acts: intervals of speed [m/s], position [m] and time [s], the ``share`` of the record's range in
+    each, and the distribution of the force over directions, reversals and frequencies."""
 
     speed: tuple[float, float]
     position: tuple[float, float]
@@ -57,7 +57,7 @@ class Extent:
 
     @property
     def place(self) -> str:
-        """What tells best where it acts: "speed", "position", "time", "reversals", or "" for everywhere."""
+        """The coordinate that locates it best: "speed", "position", "time", "reversals", or "" for everywhere."""
         if self.turning > SHARE and self.share["reversals"] < LOCAL:
             return "reversals"
         limits = {"speed": LOCAL, "position": LOCAL, "time": LONG if len(self.time) == 1 else LOCAL}
@@ -65,10 +65,10 @@ class Extent:
 
 
 def extent(record: Record, force: np.ndarray, window: np.ndarray, noise: float = 0.0) -> Extent:
-    """Where ``force`` (n,) [N] acts on the samples of ``window`` (n,) bool; ``noise`` [N] rms is no part of it."""
+    """Where ``force`` (n,) [N] acts on the samples of ``window`` (n,) bool; ``noise`` [N] rms is subtracted."""
     v = np.gradient(record.q, record.period)
-    seen, t = np.where(window, force, 0.0), record.t - record.t[0]
-    energy = seen**2
+    acting, t = np.where(window, force, 0.0), record.t - record.t[0]
+    energy = acting**2
     if noise:
         width = max(1, round(SMOOTH_TIME / record.period))
         energy = np.maximum(np.convolve(energy, np.ones(width) / width, mode="same") - noise**2, 0.0)
@@ -89,43 +89,43 @@ def extent(record: Record, force: np.ndarray, window: np.ndarray, noise: float =
         share,
         forwards=float(moving[v > 0].sum() / max(moving.sum(), 1e-30)),
         turning=float(energy[turning].sum()) / total,
-        frequency=_band(seen, record.period),
-        peak=float(np.quantile(np.abs(seen[window]), PEAK)),
-        resisting=float(np.sum(seen * np.sign(v)) / max(float(np.abs(seen[v != 0]).sum()), 1e-30)),
+        frequency=_band(acting, record.period),
+        peak=float(np.quantile(np.abs(acting[window]), PEAK)),
+        resisting=float(np.sum(acting * np.sign(v)) / max(float(np.abs(acting[v != 0]).sum()), 1e-30)),
     )
 
 
-def described(found: Extent, others: Sequence[Extent] = ()) -> dict[str, Any]:
+def where_document(region: Extent, others: Sequence[Extent] = ()) -> dict[str, Any]:
     """The contract's ``where`` of an extent, in numbers and words.
 
-    ``others`` are the extents of the same effect with its parameters drawn from their covariance: what the ends of the
-    intervals span is given as ``confidence``. ``place`` names the coordinate that ``text`` speaks of.
+    ``others`` are the extents of the same effect with its parameters drawn from their covariance: the range of the ends
+    of the intervals is ``confidence``. ``place`` names the coordinate in ``text``.
     """
-    slow, fast = found.speed
-    forwards, backwards = found.forwards > 1 - SHARE, found.forwards < SHARE
+    slow, fast = region.speed
+    forwards, backwards = region.forwards > 1 - SHARE, region.forwards < SHARE
     words = {
         "reversals": f"around reversals, below {1e3 * fast:.3g} mm/s",
-        "speed": f"below {1e3 * fast:.3g} mm/s" if slow < RESTING * fast else _between(found.speed, "mm/s"),
-        "position": _between(found.position, "mm"),
-        "time": _times(found.time),
+        "speed": f"below {1e3 * fast:.3g} mm/s" if slow < RESTING * fast else _between(region.speed, "mm/s"),
+        "position": _between(region.position, "mm"),
+        "time": _times(region.time),
         "": "" if forwards and backwards else "all along",
-    }[found.place]
+    }[region.place]
     if not (forwards and backwards):
         words += ", moving forwards" if forwards else ", moving backwards"
-    elif found.place in ("speed", "reversals"):
+    elif region.place in ("speed", "reversals"):
         words += ", both ways"
     result: dict[str, Any] = {
         "text": words or EVERYWHERE,
-        "place": found.place or "everywhere",
+        "place": region.place or "everywhere",
         "velocity": [-fast if backwards else slow, fast if forwards else -slow],
-        "position": list(found.position),
-        "time": [list(interval) for interval in found.time],
-        "frequency": list(found.frequency),
-        "force": {"value": found.peak, "unit": "N", "sense": _sense(found.resisting)},
+        "position": list(region.position),
+        "time": [list(interval) for interval in region.time],
+        "frequency": list(region.frequency),
+        "force": {"value": region.peak, "unit": "N", "sense": _sense(region.resisting)},
     }
     if others:
         level = 1 - 2 / (len(others) + 1)
-        spans = {name: _span([getattr(e, name) for e in (found, *others)]) for name in ("speed", "position")}
+        spans = {name: _span([getattr(e, name) for e in (region, *others)]) for name in ("speed", "position")}
         result["confidence"] = {"level": level, **spans}
     return result
 
@@ -152,7 +152,7 @@ def _span(intervals: list[tuple[float, float]]) -> list[list[float]]:
 
 
 def _shortest(x: np.ndarray, energy: np.ndarray, window: np.ndarray) -> tuple[float, float]:
-    """Shortest interval of ``x`` with ``SHARE`` of the mean of ``energy`` over it, wherever the record dwells."""
+    """Shortest interval of ``x`` with ``SHARE`` of the mean ``energy`` per cell, whatever the time spent in each."""
     inside = x[window]
     edges = np.linspace(float(inside.min()), float(inside.max()), CELLS + 1)
     count = np.histogram(inside, edges)[0]
@@ -167,7 +167,7 @@ def _shortest(x: np.ndarray, energy: np.ndarray, window: np.ndarray) -> tuple[fl
 
 
 def _intervals_of_time(t: np.ndarray, energy: np.ndarray, period: float) -> tuple[tuple[float, float], ...]:
-    """Intervals of ``t`` [s] in which ``energy`` is seen; from the first to the last of them where they are many."""
+    """Intervals of ``t`` [s] with relevant ``energy``; one from first to last where they are many."""
     width = max(1, round(CELL_TIME / period))
     cells = energy[: energy.size // width * width].reshape(-1, width).mean(axis=1)
     high = np.nonzero(cells > SEEN * cells.max())[0]
@@ -183,7 +183,7 @@ def _intervals_of_time(t: np.ndarray, energy: np.ndarray, period: float) -> tupl
 
 
 def _band(force: np.ndarray, period: float) -> tuple[float, float]:
-    """Band [Hz] that holds most of ``force`` (n,), up to 100 Hz."""
+    """Band [Hz] with 80 % of the power of ``force`` (n,), up to 100 Hz."""
     from scipy.signal import welch
 
     frequency, density = welch(force, 1 / period, nperseg=int(min(4096, force.size)), detrend="constant")
@@ -195,7 +195,7 @@ def _band(force: np.ndarray, period: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class View:
-    """Mean residual force [N] over one quantity, before and after; ``band`` is what noise alone would show."""
+    """Mean residual force [N] over one quantity, before and after; ``band`` is two deviations of noise alone."""
 
     quantity: str
     unit: str
@@ -217,9 +217,9 @@ def views(
 ) -> list[View]:
     """Residual force over each quantity it could depend on.
 
-    Velocity, position (both ways), acceleration, motor force, what is left of the command to ``command_limit`` [V],
-    time from a reversal, period of position, time, frequency: what the models before and after miss, on the samples
-    of ``window`` (n,) bool; ``floor`` [N] is the noise, low-passed at ``cutoff_hz`` [Hz].
+    Velocity, position (both ways), acceleration, motor force, distance of the command from ``command_limit`` [V], time
+    from a reversal, period of position, time, frequency: the missing force of the models before and after, on the
+    samples of ``window`` (n,) bool; ``floor`` [N] is the noise, low-passed at ``cutoff_hz`` [Hz].
     """
     motion = before.motion
     pairs = (before.force, after.force)
@@ -245,7 +245,7 @@ def views(
 
 
 def shown(view: View) -> float:
-    """How much of the gap a picture shows [N rms]: by the means in its bins, or the strongest line of a spectrum."""
+    """Part of the gap that a view shows [N rms]: by the means in its bins, or the strongest line of a spectrum."""
     parts = []
     for y in (view.before, view.after):
         kept = y[np.isfinite(y)]
@@ -269,7 +269,7 @@ def _around_reversals(
         near = np.abs(motion.t - motion.t[turn]) <= REVERSAL_DRAWN
         since[near], towards[near] = (motion.t - motion.t[turn])[near], np.sign(motion.v[turn])
     kept = window & np.isfinite(since)
-    if not kept.any():  # all of them lie outside of what is looked at
+    if not kept.any():  # all of them lie outside the window
         return []
     forces = tuple(towards * force for force in pairs)
     return [_binned("time from reversal", "s", since, forces, kept, noise, 60, "in the new direction")]
@@ -321,11 +321,13 @@ def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: 
 
 
 def force_map(missing: MissingForce) -> dict[str, Any]:
-    """Mean missing force [N] over position and velocity, away from reversals: a picture that assumes no effect.
+    """Mean missing force [N] over position and velocity, away from reversals; assumes no effect.
 
-    ``force`` has one row per velocity; None where the record does not go.
+    ``force`` has one row per velocity; None in cells without samples.
     """
-    kept = missing.away if missing.away.any() else np.ones_like(missing.away)  # where all is reversals, take them
+    kept = (
+        missing.away if missing.away.any() else np.ones_like(missing.away)
+    )  # where all samples are near reversals, take all
     q, v, force = (x[kept] for x in (missing.motion.q, missing.motion.v, missing.force))
     edges = [np.linspace(float(x.min()), float(x.max()) + 1e-12, MAP_CELLS + 1) for x in (v, q)]
     count = np.histogram2d(v, q, edges)[0]
@@ -337,7 +339,7 @@ def force_map(missing: MissingForce) -> dict[str, Any]:
 
 
 def spectrum_over_time(missing: MissingForce) -> dict[str, Any]:
-    """Rms [N] of the missing force in each line of its spectrum, over time: what comes, goes, or changes its pitch.
+    """Rms [N] of the missing force in each line of its spectrum, over time.
 
     ``force`` has one row per frequency.
     """

@@ -1,4 +1,4 @@
-"""What a diagnosis says: its findings, its gap before and after, its pictures' data, its extended model."""
+"""The result of a diagnosis: findings, gap before and after, data of its views, extended model."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from emps_design.notebook import table
 from emps_design.quantities import display_unit, inside, rounded
 
 SCHEMA = "emps-design/diagnosis/1"
-MOST_IN_FULL = 2  # findings with all their numbers in the sentence
+MOST_IN_FULL = 2  # findings with all their parameters in the sentence
 
 
 @dataclass(frozen=True)
 class Finding:
     """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N].
 
-    ``confirmed`` is the share of it that the held-out record asks for, with its deviation; None where that is not told.
+    ``confirmed`` is its share on the held-out record, with the deviation; None where not determined.
     """
 
     effect: str
@@ -77,7 +77,7 @@ class Finding:
 
 
 def in_unit(value: float, std: float, unit: str) -> str:
-    """``value +- std`` in the unit a reader would choose.
+    """``value +- std`` in a readable unit.
 
     >>> in_unit(0.0016, 2e-6, "s")
     '1.600 +- 0.002 ms'
@@ -93,9 +93,9 @@ def in_unit(value: float, std: float, unit: str) -> str:
 class Diagnosis:
     """The answer of :func:`emps_design.discrepancy.diagnose`.
 
-    ``trace`` is the force over time of the record that confirms, or of the training record; ``response`` what excited
-    records give as a frequency response, beside the extended model; ``closest`` the model that follows the records most
-    closely, where it was asked for.
+    ``trace`` is the force over time of the record that confirms, or of the training record; ``response`` the frequency
+    response of excited records, beside the extended model; ``closest`` the model that follows the records most closely,
+    where requested.
     """
 
     verdict: str
@@ -114,13 +114,13 @@ class Diagnosis:
 
     @property
     def floor(self) -> float:
-        """Rms [N] of the unfiltered force that does not repeat."""
+        """Rms [N] of the noise of the unfiltered force."""
         return self.noise.force
 
     @property
     def sentence(self) -> str:
-        """The answer in one sentence, as on the first screen of the report, what confirms it, and what it does not
-        speak of."""
+        """The answer in one sentence, as on the first screen of the report, with the confirming data and the parts of
+        the records that were not searched."""
         confirming = self.details.get("held_out", {}).get("text", "")
         return " ".join(
             [self._answer, *filter(None, [confirming]), *(f"{rest}." for rest in self.details.get("rest", ()))]
@@ -129,8 +129,8 @@ class Diagnosis:
     @property
     def _answer(self) -> str:
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
-        left, noise = rounded(judged.extended), rounded(self.floor)
-        gap = f"{where} force error {rounded(judged.baseline)} N -> {left} N, noise {noise} N"
+        remaining, noise = rounded(judged.extended), rounded(self.floor)
+        gap = f"{where} force error {rounded(judged.baseline)} N -> {remaining} N, noise {noise} N"
         if self.verdict in ("named", "ambiguous", "partly-named"):
             if len(self.findings) <= MOST_IN_FULL:
                 text = "; ".join(finding.in_words() for finding in self.findings)
@@ -148,10 +148,13 @@ class Diagnosis:
             place = unexplained["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
-            missed = f"{left} N"
+            missed = f"{remaining} N"
             if self.holdout is not None:
                 part = "record" if self.trace.window is None else "part"
-                sides = f"{left} N of the held-out {part}", f"{rounded(self.train.extended)} N of the training {part}"
+                sides = (
+                    f"{remaining} N of the held-out {part}",
+                    f"{rounded(self.train.extended)} N of the training {part}",
+                )
                 missed = ", ".join(sides if unexplained["record"] == "holdout" else sides[::-1])
             text = f"{known}{'beside that ' if known else ''}the model misses {missed}"
             text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
@@ -168,7 +171,7 @@ class Diagnosis:
         return f"Nothing is missing from the model: force error {rounded(judged.baseline)} N, noise {noise} N{rest}."
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's document, and what the report shows besides, absent where it is not known.
+        """The contract's document, with further entries for the report where known.
 
         | key | content |
         |---|---|
@@ -209,7 +212,7 @@ class Diagnosis:
         }
 
     def with_file(self, model_file: str) -> Diagnosis:
-        """The same diagnosis, saying where its model was written, and beside it the reference of the experiment."""
+        """The same with the name of the model's file, beside which the reference of the experiment is written."""
         written = None if self.experiment is None else self.experiment.written()
         return replace(self, model_file=model_file, experiment=written)
 

@@ -1,7 +1,4 @@
-"""What no effect explains: how much is left, over which variables it repeats on data not seen, what to record next.
-
-What a reader must know beside the findings: what is assumed, how it was judged, what is doubtful.
-"""
+"""The unexplained rest: its size, and the variables that predict it on held-out data. The warnings of a diagnosis."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from emps_design.discrepancy.confirmation import Share
 from emps_design.discrepancy.gap import most_missed
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis
-from emps_design.discrepancy.residual_views import EVERYWHERE, described, extent, force_map
+from emps_design.discrepancy.residual_views import EVERYWHERE, extent, force_map, where_document
 from emps_design.discrepancy.unknown_force import SLOWEST, MissingForce, missing_force, since_reversal
 from emps_design.discrepancy.verdict import Validation
 from emps_design.effects import get_effect, kind_of
@@ -38,13 +35,13 @@ FOLLOWED = (
 DEGREE = 8  # of the polynomials in one variable
 RIDGE = 1e-6  # of the mean square of a column
 SAID = 2  # variables in the sentence
-LOWEST_HZ = 2.0  # below, lines are those of the strokes
+LOWEST_HZ = 2.0  # below, lines belong to the strokes
 FROM_THE_LAW = "by which the command differs from the controller's law"
 WIDTH = 0.1  # of a frequency, within which its line counts
 
 
 def calibration_in_words(calibration: Calibration) -> str:
-    """What a finding had to gain, and why."""
+    """The gain that a finding needed, and its origin, as text."""
     healthy, runs = calibration.healthy, calibration.healthy.largest.size
     level = max(rules.LEVEL, 1 / (runs + 1))
     made = f"{runs} simulated healthy records, each searched like this one"
@@ -58,13 +55,13 @@ def calibration_in_words(calibration: Calibration) -> str:
 
 
 def warnings(validation: Validation) -> list[str]:
-    """Everything that limits what the verdict says."""
+    """Everything that limits the verdict, one sentence each."""
     preparation = validation.outcome.calibration.preparation
     remarks = [*preparation.warnings, *validation.outcome.warnings, *_limits(validation)]
     if preparation.held_out is not None:
         remarks += _of_holdout(validation, preparation.held_out)
     for index, effect in enumerate(validation.extended.model.effects):
-        remarks += [f"{effect.label}: {text}" for text in begun_earlier(validation, index)]
+        remarks += [f"{effect.label}: {text}" for text in earlier_instants(validation, index)]
     if validation.in_free_run:
         before, after = map(rounded, validation.in_free_run)
         labels = ", ".join(inside(get_effect(kind_of(name)).label) for name in validation.given_up)
@@ -81,10 +78,10 @@ def warnings(validation: Validation) -> list[str]:
     return remarks
 
 
-def begun_earlier(validation: Validation, index: int) -> list[str]:
-    """Which instants of effect ``index`` are only the first in what was fitted: the part kept closed has earlier ones.
+def earlier_instants(validation: Validation, index: int) -> list[str]:
+    """Remarks on instants of effect ``index`` that are earlier in the part held out than in the fitted part.
 
-    What belongs to one record was fitted there anew, and the old numbers stood where new ones were not clearly better.
+    Per-record parameters were fitted again on the part held out, and kept where that was not clearly better.
     """
     kept, held_out = validation.outcome.calibration.preparation.confirming, validation.held_out
     effect = validation.extended.model.effects[index]
@@ -141,33 +138,32 @@ def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
     return remarks
 
 
-def _amount(asked: Share) -> str:
-    """The share that was clearly refuted; of what is hardly wanted that of all weighings together."""
-    told = None if asked.refuted else asked.confirmed
-    return share_asked(asked.share, asked.std) if told is None else share_asked(**told)
+def _amount(share: Share) -> str:
+    """The refuted share as text; of a hardly wanted effect the mean share of all weightings."""
+    confirmed = None if share.refuted else share.confirmed
+    return share_asked(share.share, share.std) if confirmed is None else share_asked(**confirmed)
 
 
 def unexplained(validation: Validation) -> dict[str, Any]:
     """The contract's ``unexplained`` of a validation in which structure is left.
 
-    ``rms`` [N] is what the model leaves over the noise, ``share`` of the gap's mean square; ``over`` the variables that
-    predict it on data not fitted to, the best first, and ``predicted`` the share of it that each does. ``record`` says
-    where it shows: "train", or "holdout" where training leaves nothing but noise. ``kind`` is what it is like, "" where
-    that is not known: beside an unknown force of that kind, what is named leaves next to nothing, ``kind_leaves`` [N]
-    with the noise. ``law_gap`` [V] is by how much the command differs from the controller's law, where that has no name
-    either.
+    ``rms`` [N] is the residual over the noise, ``share`` its part of the gap's mean square; ``over`` are the variables
+    that predict it on data not fitted, best first, and ``predicted`` the share of each. ``record`` says where it shows:
+    "train", or "holdout" where only noise is left of the training data. ``kind`` is the kind of unknown force that
+    explains it, "" where unknown, and ``kind_leaves`` [N] the residual with it, noise included. ``law_gap`` [V] is the
+    unexplained difference between the command and the controller's law.
     """
     floor, held_out = validation.outcome.calibration.floor.force, validation.held_out
     shown = _where_it_shows(validation)
-    # Confirming data that show nothing, as of a push or a mass put on in training alone, say nothing of it.
-    judged = validation.train if held_out is None or held_out.left <= rules.QUIET * floor else held_out
+    # Confirming data without the cause, such as a push in training alone, say nothing about it.
+    judged = validation.train if held_out is None or held_out.remaining_force <= rules.QUIET * floor else held_out
     most = most_missed(shown)
-    left = float(np.sqrt(max(min(judged.left, judged.gap.extended) ** 2 - floor**2, 0.0)))
-    share = left**2 / max(judged.gap.baseline**2 - floor**2, left**2, 1e-30)
+    remaining = float(np.sqrt(max(min(judged.remaining_force, judged.gap.extended) ** 2 - floor**2, 0.0)))
+    share = remaining**2 / max(judged.gap.baseline**2 - floor**2, remaining**2, 1e-30)
     shares = predicted(validation, confirming=judged is held_out)
     over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
     problem = shown.problem
-    where = described(extent(problem.records[most], shown.residuals()[most], problem.splits[most].used, floor))
+    where = where_document(extent(problem.records[most], shown.residuals()[most], problem.splits[most].used, floor))
     place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
     depends = "it depends on none of position, velocity, time and load alone"
     if over:
@@ -175,7 +171,7 @@ def unexplained(validation: Validation) -> dict[str, Any]:
         depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
     if validation.kind:
         depends = like(validation.kind, validation.kind_leaves)
-    text = f"{left:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
+    text = f"{remaining:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
     laws = [law for law in validation.outcome.calibration.preparation.laws if law.unexplained]
     law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
     kind_leaves = {"kind_leaves": validation.kind_leaves} if validation.kind else {}
@@ -184,7 +180,7 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     return {
         **law_gap,
         **kind_leaves,
-        "rms": left,
+        "rms": remaining,
         "share": share,
         "over": over,
         "predicted": shares,
@@ -198,7 +194,7 @@ def unexplained(validation: Validation) -> dict[str, Any]:
 
 
 def like(kind: str, leaves: float) -> str:
-    """What is left is of a ``kind`` of unknown force, which ``leaves`` [N] of it and of the noise.
+    """Text for a residual that an unknown force of a ``kind`` reduces to ``leaves`` [N], noise included.
 
     >>> like("friction that remembers the motion before", 0.5)
     'it is like friction that remembers the motion before, with which 0.50 N would be left'
@@ -207,7 +203,7 @@ def like(kind: str, leaves: float) -> str:
 
 
 def _where_it_shows(validation: Validation) -> Hypothesis:
-    """The extended model on the training records, or on the confirming data where those leave nothing but noise."""
+    """The extended model on the training records, or on the confirming data where only noise is left of the first."""
     data, held_out = validation.outcome.calibration.preparation.held_out, validation.held_out
     if data is None or held_out is None or not validation.training_is_quiet:
         return validation.extended
@@ -215,14 +211,14 @@ def _where_it_shows(validation: Validation) -> Hypothesis:
 
 
 def predicted(validation: Validation, confirming: bool = True) -> dict[str, float]:
-    """Share of the missing force's mean square that each variable predicts on samples it was not fitted to.
+    """Share of the missing force's mean square that each variable predicts on samples not fitted.
 
-    Fitted to the training records and judged on the ``confirming`` one; without one, on the selecting strokes.
+    Fitted to the training records and judged on the ``confirming`` data; without, on the selecting strokes.
     """
     extended, data = validation.extended, validation.outcome.calibration.preparation.held_out
-    seen = missing_force(extended)
+    missing = missing_force(extended)
     used, judged = (extended.problem.masks(part) for part in ("fit", "select"))
-    known, new, there = seen, seen, judged
+    known, new, there = missing, missing, judged
     if confirming and data is not None and validation.held_out is not None:
         used = extended.problem.masks("used")
         new = missing_force(Hypothesis(data.problem, validation.held_out.extended))
@@ -236,41 +232,41 @@ def depends_on(
     new: tuple[MissingForce, ...],
     there: tuple[np.ndarray, ...],
 ) -> dict[str, float]:
-    """Share of the force that is missing on ``new`` records, in the samples ``there``, that each variable predicts.
+    """Share of the missing force on ``new`` records, in the samples ``there``, that each variable predicts.
 
-    Fitted to what is missing on the ``known`` ones in the samples ``used``, both (n,) bool of each record.
+    Fitted to the missing force on the ``known`` ones in the samples ``used``; both masks (n,) bool per record.
     """
     ranges = {name: _range(known, name) for name in VARIABLES}
-    found = {}
+    shares = {}
     for name in VARIABLES:
         design, force = _design(known, used, name, ranges[name])
         others, wanted = _design(new, there, name, ranges[name])
         square = design.T @ design
         ridge = RIDGE * np.trace(square) / len(square) * np.eye(len(square))
         rest = wanted - others @ np.linalg.solve(square + ridge, design.T @ force)
-        found[name] = max(0.0, 1.0 - float(rest @ rest) / max(float(wanted @ wanted), 1e-30))
-    return found | {"frequency": _in_one_line(new, there)}
+        shares[name] = max(0.0, 1.0 - float(rest @ rest) / max(float(wanted @ wanted), 1e-30))
+    return shares | {"frequency": _in_one_line(new, there)}
 
 
-def _position(seen: MissingForce) -> np.ndarray:
-    return seen.motion.q
+def _position(missing: MissingForce) -> np.ndarray:
+    return missing.motion.q
 
 
-def _speed(seen: MissingForce) -> np.ndarray:
-    return np.abs(seen.motion.v)
+def _speed(missing: MissingForce) -> np.ndarray:
+    return np.abs(missing.motion.v)
 
 
-def _time(seen: MissingForce) -> np.ndarray:
-    return seen.motion.t - seen.motion.t[0]
+def _time(missing: MissingForce) -> np.ndarray:
+    return missing.motion.t - missing.motion.t[0]
 
 
-def _load(seen: MissingForce) -> np.ndarray:
-    return np.abs(seen.motion.tau)
+def _load(missing: MissingForce) -> np.ndarray:
+    return np.abs(missing.motion.tau)
 
 
-def _since_reversal(seen: MissingForce) -> np.ndarray:
-    """Logarithm of the samples since the last reversal: what memory of standing still fades with."""
-    return np.log1p(since_reversal(seen.motion.v))
+def _since_reversal(missing: MissingForce) -> np.ndarray:
+    """Logarithm of the samples since the last reversal, with which memory of standstill fades."""
+    return np.log1p(since_reversal(missing.motion.v))
 
 
 VARIABLES = {
@@ -282,34 +278,34 @@ VARIABLES = {
 }
 
 
-def _range(seen: tuple[MissingForce, ...], name: str) -> tuple[float, float]:
-    values = np.concatenate([VARIABLES[name](one) for one in seen])
+def _range(missing: tuple[MissingForce, ...], name: str) -> tuple[float, float]:
+    values = np.concatenate([VARIABLES[name](gap) for gap in missing])
     return float(values.min()), float(np.ptp(values)) or 1.0
 
 
 def _design(
-    seen: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...], name: str, scale: tuple[float, float]
+    missing: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...], name: str, scale: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Polynomials of one variable for each direction of motion (n, k), and the missing force (n,) [N] beside them."""
     rows, force = [], []
-    for one, mask in zip(seen, masks, strict=True):
-        x = np.clip(2 * (VARIABLES[name](one) - scale[0]) / scale[1] - 1, -1, 1)
-        columns, direction = chebvander(x, DEGREE), np.tanh(one.motion.v / SLOWEST)
+    for gap, mask in zip(missing, masks, strict=True):
+        x = np.clip(2 * (VARIABLES[name](gap) - scale[0]) / scale[1] - 1, -1, 1)
+        columns, direction = chebvander(x, DEGREE), np.tanh(gap.motion.v / SLOWEST)
         rows.append(np.column_stack([columns, columns * direction[:, None]])[mask])
-        force.append((one.force - np.mean(one.force[mask]))[mask])
+        force.append((gap.force - np.mean(gap.force[mask]))[mask])
     return np.concatenate(rows), np.concatenate(force)
 
 
-def _in_one_line(seen: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...]) -> float:
-    """Share of the missing force's mean square within a tenth of its strongest frequency that strokes do not have."""
+def _in_one_line(missing: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...]) -> float:
+    """Share of the missing force's mean square within a tenth of its strongest frequency above ``LOWEST_HZ``."""
     from scipy.signal import periodogram
 
     shares = []
-    for one, mask in zip(seen, masks, strict=True):
-        frequency, power = periodogram(np.where(mask, one.force, 0.0), 1 / one.motion.period)
+    for gap, mask in zip(missing, masks, strict=True):
+        frequency, power = periodogram(np.where(mask, gap.force, 0.0), 1 / gap.motion.period)
         power[frequency < LOWEST_HZ] = 0.0
         top = frequency[np.argmax(power)]
         near = np.abs(frequency - top) < WIDTH * top
-        whole = max(float(np.var(one.force[mask])) / max(frequency[1], 1e-12), 1e-30)
+        whole = max(float(np.var(gap.force[mask])) / max(frequency[1], 1e-12), 1e-30)
         shares.append(min(1.0, float(power[near].sum()) / whole))
     return float(np.mean(shares))

@@ -1,18 +1,15 @@
-"""Kinds of unknown force, each with few free numbers: what an axis may have that no effect of the library describes.
+"""The missing force of a model, and unknown forces: of one kind with few parameters, or any smooth function of state.
 
-A smooth function of the state could be nearly anything, and takes most friction with it. An unknown force of one kind
-leaves alone what is of another kind, so that effects are found beside it. What it does to the motor force is that of
-the closed loop: a column is simulated as a force on the carriage, and not taken for its own answer.
-
-The force a model misses: what a motor would have to add to its closed-loop simulation to move as measured.
-
-With the measured and the simulated run of the same reference side by side, and both sliding in the same direction,
+The missing force is what a motor would have to add to the closed-loop simulation to move as measured. With the measured
+and the simulated run of the same reference, both sliding in the same direction,
 
     missing = (F - F_s) - M (qdd - qdd_s) - F_v (qd - qd_s)
 
-whatever hidden states the model has, because they are in its simulation. The hold is in both runs alike.
+whatever hidden states the model has, because they are in its simulation. The hold is the same in both runs.
 
-Smooth functions of the state of the axis, with no physics assumed: what an unknown force may depend on.
+A smooth function of the state could be almost anything, and explains most friction too. An unknown force of one kind
+does not explain effects of another kind, so that these are found beside it. Its effect on the motor force is that of
+the closed loop: each column is simulated as a force on the carriage.
 """
 
 from __future__ import annotations
@@ -34,20 +31,20 @@ from emps_design.identification.filters import held_force, motion
 from emps_design.observer import motor_share
 
 REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
-SELDOM = 0.02  # of what is used: where no more is away from reversals, the whole is looked at
+SELDOM = 0.02  # of the used samples: where no more are away from reversals, all samples in motion count
 SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
 
 DEGREE = 4  # of the polynomials in position and in speed
-FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: if it lasts a stroke it is a spring
+FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: one that lasts a stroke would be a spring
 RESTING_TIME = 0.04  # s, in which a contact ages at rest
 FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
 
 COARSE = 6  # degree of the polynomials in position
-FINE = 12  # the same where that leaves clearly less
+FINE = 12  # the same where a finer shape leaves clearly less
 SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
-PUSH = 0.1  # of the force that a model leaves: rms of a column when its answer is simulated
+PUSH = 0.1  # of the residual force: rms of a column when its response is simulated
 
-# Forces (n, k) along a measured motion, which the force has taken part in, and the simulated position (n,) [m].
+# Forces (n, k) of the measured motion and the simulated position (n,) [m].
 Columns = Callable[[Motion, np.ndarray], np.ndarray]
 
 
@@ -72,14 +69,14 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
         share = motor_share(problem.axis, record)
         acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
         (measured, acted), (simulated, predicted) = side_by_side(
-            lambda seen, driven, cut=cut: (motion(seen, cut), held_force(driven, gain, cut)),
+            lambda moved, driven, cut=cut: (motion(moved, cut), held_force(driven, gain, cut)),
             [(record, acting), (played, played)],
         )
         inertia = baseline[MASS] * (measured.a - simulated.a)
         viscous = baseline[VISCOUS] * (measured.v - simulated.v)
         force = acted - predicted - inertia - viscous
         away = away_from_reversals(measured.v, record.period) & split.used
-        if away.sum() <= SELDOM * split.used.sum():  # what reverses nearly all the time is seen at reversals or never
+        if away.sum() <= SELDOM * split.used.sum():  # a motion that reverses nearly all the time
             away = away_from_reversals(measured.v, record.period, 0.0) & split.used
         result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)
@@ -112,7 +109,7 @@ def since_reversal(v: np.ndarray) -> np.ndarray:
 
 
 def beside_state(hypothesis: Hypothesis) -> Hypothesis:
-    """The same model, judged by what no smooth function of the state that it simulates could follow."""
+    """The same model, judged with all smooth functions of its simulated state projected out."""
     return Hypothesis(replace(hypothesis.problem, states=states_of(hypothesis)), hypothesis.model)
 
 
@@ -122,9 +119,9 @@ def states_of(hypothesis: Hypothesis) -> tuple[np.ndarray, ...]:
 
 
 def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
-    """Smooth functions (n, k) of position ``q`` (n,) [m], velocity, and what came before: no physics assumed.
+    """Smooth functions (n, k) of position ``q`` (n,) [m], velocity and past motion, without assumed physics.
 
-    A surface over position and velocity for each direction, and what friction may remember.
+    Polynomials in position and speed for each direction, and the memories of friction.
     """
     from numpy.polynomial.chebyshev import chebvander
 
@@ -132,7 +129,7 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
     direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
     surface = along(q, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
     surface = surface.reshape(q.size, -1)
-    remembered, count = (memories(q, period), faded(v, period)), surface.shape[1]
+    remembered, count = (memories(q, period), fading_memories(v, period)), surface.shape[1]
     functions = np.empty((q.size, 2 * count + sum(part.shape[1] for part in remembered)))
     np.multiply(surface, (direction > 0)[:, None], out=functions[:, :count])
     np.multiply(surface, (direction <= 0)[:, None], out=functions[:, count : 2 * count])
@@ -155,20 +152,20 @@ def slopes_along(q: np.ndarray, degree: int) -> np.ndarray:
 
 
 def memories(q: np.ndarray, period: float) -> np.ndarray:
-    """What friction may remember of the motion ``q`` (n,) [m] before, (n, k).
+    """Forces (n, k) of a friction that depends on the past motion ``q`` (n,) [m].
 
-    How long it rested, the way since a reversal, and fading memories of direction, and of motion at all.
+    On the age of the contact, the way since a reversal, and fading memories of direction and of sliding.
     """
     v = np.gradient(q, period)
     direction = np.tanh(v / SLOWEST)
     way = np.cumsum(np.abs(v)) * period
     way -= way[np.arange(q.size) - since_reversal(v)]
     fading = np.exp(-way[:, None] / FADING_WAYS)
-    along_it = np.column_stack([rested(v, period), fading, faded(np.abs(direction), period)])
-    return np.column_stack([along_it * direction[:, None], faded(direction, period)])
+    along_it = np.column_stack([contact_age(v, period), fading, fading_memories(np.abs(direction), period)])
+    return np.column_stack([along_it * direction[:, None], fading_memories(direction, period)])
 
 
-def faded(signal: np.ndarray, period: float) -> np.ndarray:
+def fading_memories(signal: np.ndarray, period: float) -> np.ndarray:
     """Fading memories (n, k) of a ``signal`` (n,), one for each of ``FADING_TIMES``."""
     from scipy.signal import lfilter
 
@@ -176,13 +173,13 @@ def faded(signal: np.ndarray, period: float) -> np.ndarray:
     return np.column_stack([lfilter([share], [1.0, share - 1.0], signal) for share in shares])
 
 
-def rested(v: np.ndarray, period: float) -> np.ndarray:
-    """How far a contact has aged, 0 to 1, (n, k) along a velocity ``v`` (n,) [m/s]: at rest it does, sliding undoes it.
+def contact_age(v: np.ndarray, period: float) -> np.ndarray:
+    """Age of a contact, 0 to 1, (n, k) along a velocity ``v`` (n,) [m/s]: it grows at rest and decays in sliding.
 
-    At rest within ``RESTING_TIME``, in sliding within each of ``FADING_TIMES``; aged in full at first.
+    It grows within ``RESTING_TIME`` and decays within each of ``FADING_TIMES``, from 1 at first.
 
     >>> v = np.concatenate([np.zeros(3), np.ones(640), np.zeros(1000)])
-    >>> rested(v, 1e-3)[[2, 642, -1], -1].round(3).tolist()
+    >>> contact_age(v, 1e-3)[[2, 642, -1], -1].round(3).tolist()
     [1.0, 0.368, 1.0]
     """
     slides, times = np.abs(v) > 0.5 * SLOWEST, np.array(FADING_TIMES)
@@ -196,14 +193,16 @@ def rested(v: np.ndarray, period: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of unknown force by its ``columns``: the force is any sum of them."""
+    """A kind of unknown force: any linear combination of its ``columns``."""
 
     name: str
     columns: Columns
 
-    def beside_given(self) -> Kind:
-        """The same kind beside a model whose numbers are given: what it has numbers for is a part of the force."""
-        return replace(self, columns=lambda *seen: np.column_stack([self.columns(*seen), baseline(*seen)]))
+    def with_baseline(self) -> Kind:
+        """The same kind for a model of fixed parameters: the columns of the baseline are part of the force."""
+        return replace(
+            self, columns=lambda *arguments: np.column_stack([self.columns(*arguments), baseline(*arguments)])
+        )
 
 
 def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
@@ -213,28 +212,28 @@ def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
 
 
 def damping(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
-    """Friction in proportion to velocity, by polynomials in position."""
+    """Viscous friction with a coefficient that is a polynomial in position."""
     return along(measured.q, degree)[:, 1:] * measured.v[:, None]
 
 
 def damping_each_way(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
-    """The same for each direction by itself."""
+    """The same with one polynomial for each direction."""
     speed = np.abs(measured.v)[:, None]
     return np.column_stack([damping(measured, simulated, degree), along(measured.q, degree) * speed])
 
 
 def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
-    """Friction that remembers the motion before: the simulated one, which stands still where the encoder does not.
+    """Friction that depends on the past simulated motion, which stands still where the encoder does not.
 
-    Not only whether it moved, but how fast. What remembers velocity with its sign would be a spring, or viscous.
+    On its speed as well. A memory of the signed velocity would be a spring, or viscous friction.
     """
     v = np.gradient(simulated, measured.period)
-    fast = faded(np.abs(v), measured.period) * np.tanh(v / SLOWEST)[:, None]
+    fast = fading_memories(np.abs(v), measured.period) * np.tanh(v / SLOWEST)[:, None]
     return np.column_stack([memories(simulated, measured.period), fast])
 
 
 def baseline(measured: Motion, simulated: np.ndarray) -> np.ndarray:
-    """What the four numbers of a model act on: acceleration, velocity, its direction, and 1."""
+    """The columns (n, 4) of the baseline: acceleration, velocity, its direction, and 1."""
     v = measured.v
     return np.column_stack([measured.a, v, np.tanh(v / SLOWEST), np.ones_like(v)])
 
@@ -243,7 +242,7 @@ def _by_degree(name: str, columns: Callable[..., np.ndarray]) -> tuple[Kind, ...
     return tuple(Kind(name, partial(columns, degree=degree)) for degree in (COARSE, FINE))
 
 
-# Each with few columns and with many, and what is part of another kind before it.
+# Each with few and with many columns; a kind that is part of another comes before it.
 KINDS: tuple[tuple[tuple[Kind, ...], ...], ...] = (
     (_by_degree("an inertia that varies along the travel", inertia),),
     (
@@ -255,28 +254,28 @@ KINDS: tuple[tuple[tuple[Kind, ...], ...], ...] = (
 
 
 def beside_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
-    """The same model, judged by what no unknown force of a ``kind`` could do beside it.
+    """The same model, judged with the response to any unknown force of a ``kind`` projected out.
 
-    What the force does to the loop is taken as linear. Raises :class:`SimulationError` where the model does not run
-    with a force a tenth as large as the one that it leaves.
+    The response of the loop is linearised. Raises :class:`SimulationError` where the model cannot be simulated with a
+    force of a tenth of its residual.
     """
     states = _answers(hypothesis, _columns(hypothesis, kind))
     return Hypothesis(replace(hypothesis.problem, states=states), hypothesis.model)
 
 
 def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
-    """:func:`beside_kind` about the loop on which the force of that kind acts that explains most of what is left.
+    """:func:`beside_kind` linearised with the best-fitting force of that kind acting in the loop.
 
-    A force that is a good part of all that moves the carriage changes how the loop answers; of a motor at its limit so
-    much that only a share of ``SHARES`` of it may leave less. Raises as that does.
+    A large force changes the response of the loop; with a motor at its limit so much that only a share of ``SHARES`` of
+    the force may leave less. Raises as that does.
     """
     problem = replace(hypothesis.problem, states=())
     hypothesis = Hypothesis(problem, hypothesis.model)
     columns = _columns(hypothesis, kind)
-    left, answers = (problem.whiten(x) for x in (hypothesis.residuals(), _answers(hypothesis, columns)))
+    innovations, answers = (problem.whiten(x) for x in (hypothesis.residuals(), _answers(hypothesis, columns)))
     shares = [
-        np.linalg.lstsq(answer[used], one[used], rcond=RANK)[0]
-        for answer, one, used in zip(answers, left, problem.masks("used"), strict=True)
+        np.linalg.lstsq(answer[used], wanted[used], rcond=RANK)[0]
+        for answer, wanted, used in zip(answers, innovations, problem.masks("used"), strict=True)
     ]
     forces = [column @ share for column, share in zip(columns, shares, strict=True)]
     before = hypothesis.excess()
@@ -289,20 +288,20 @@ def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
 
 
 def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
-    """Forces [N] of a ``kind``, (n, k) along each record, each of ``PUSH`` of the size of what the model leaves."""
+    """Forces [N] of a ``kind``, (n, k) along each record, each of rms ``PUSH`` times that of the residual."""
     columns = []
-    measured = hypothesis.problem.recorded.motions
-    for seen, run, left in zip(measured, hypothesis.runs(), hypothesis.residuals(), strict=True):
-        one = kind.columns(seen, run.q)
-        rms = np.sqrt(np.mean(one * one, axis=0))
-        columns.append(one * (PUSH * np.std(left) / np.maximum(rms, 1e-30)))
+    motions = hypothesis.problem.recorded.motions
+    for measured, run, residual in zip(motions, hypothesis.runs(), hypothesis.residuals(), strict=True):
+        forces = kind.columns(measured, run.q)
+        rms = np.sqrt(np.mean(forces * forces, axis=0))
+        columns.append(forces * (PUSH * np.std(residual) / np.maximum(rms, 1e-30)))
     return columns
 
 
 def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """What each of the ``columns`` [N], (n, k) per record, changes in the motor force [N] as a push of the carriage."""
+    """Change of the motor force [N], (n, k) per record, by each of the ``columns`` [N] as a force on the carriage."""
     whole = hypothesis.residuals()
-    pushes = zip(*(np.ascontiguousarray(one.T) for one in columns), strict=True)
+    pushes = zip(*(np.ascontiguousarray(column.T) for column in columns), strict=True)
     pushed = side_by_side(hypothesis.residuals, [(push,) for push in pushes])
     return tuple(
         np.column_stack([a - b for b in there]) for a, there in zip(whole, zip(*pushed, strict=True), strict=True)

@@ -1,10 +1,9 @@
-"""The fourth stage: the model refitted to everything, confirmed, and what it all amounts to.
+"""The fourth stage: refit the model to all used samples, confirm it, and reach the verdict.
 
-Effects that stand beside an unknown force, found by a second search and confirmed like any other.
-
-The force is of one kind, with which and few effects next to nothing is left, or any function of the state. Where smooth
-functions of the state explain nothing, neither does most friction; what is left there of an instant, a drift, a delay
-or a line along the travel has no unknown force to share with, and its numbers are not bent by one.
+Effects may stand beside an unknown force, found by a second search and confirmed like any other. The force is of one
+kind, which with few effects leaves next to nothing, or any smooth function of the state. With all smooth functions
+projected out, most friction cannot be found; an event, a drift, a delay or a ripple can, and the unknown force does not
+bend its parameters.
 """
 
 from __future__ import annotations
@@ -18,7 +17,14 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import Judge, explained, force_rms
-from emps_design.discrepancy.beam_search import acting, finished, in_turn, next_to_nothing, only_noise, search_beside
+from emps_design.discrepancy.beam_search import (
+    acting,
+    finish_search,
+    in_turn,
+    next_to_nothing,
+    only_noise,
+    search_beside,
+)
 from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import (
     Share,
@@ -32,7 +38,7 @@ from emps_design.discrepancy.confirmation import (
     widened,
 )
 from emps_design.discrepancy.fit import Fit, evaluate, fit
-from emps_design.discrepancy.gap import GapComparison, adapted, compare, compare_on
+from emps_design.discrepancy.gap import GapComparison, adapt, compare, compare_on
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis
@@ -43,35 +49,35 @@ from emps_design.progress import Progress
 
 @dataclass(frozen=True)
 class BesideUnknown:
-    """A fit judged beside an unknown force, how much of its effects the confirming data ask for, their equivalents.
+    """A model ``fitted`` beside an unknown force, the shares of its effects on the confirming data, and equivalents.
 
-    ``kind`` of ``KINDS`` is what the force is like; empty where it may be any function of the state. ``left`` [N] is
-    the rms that the two leave, on training or confirming records, whichever is more; ``is_all`` whether that is nothing
-    but noise on both, of so much that nothing else is to be said of the records.
+    ``kind`` is the name of the force in ``KINDS``; empty where it may be any function of the state. ``remaining_force``
+    [N] is the rms with both, the larger of training and confirming records; ``is_all`` whether that is only noise on
+    both, and the force so large that the records need no other model.
     """
 
-    found: Fit
-    asked: list[Share]
+    fitted: Fit
+    shares: list[Share]
     equivalents: dict[str, list[str]]
     kind: str = ""
-    left: float = np.inf
+    remaining_force: float = np.inf
     is_all: bool = False
 
     @property
     def names(self) -> list[str]:
-        """Names of the effects, without what is known from the controller's law."""
-        return [one.name for one in self.asked]
+        """Names of the effects, without those known from the controller's law."""
+        return [share.name for share in self.shares]
 
     @property
     def is_an_answer(self) -> bool:
-        """Whether it has effects to name, or nothing else is to be said: the records need no other model."""
+        """Whether it has effects to name, or the records need no other model."""
         return bool(self.names) or self.is_all
 
 
 def found_beside_kind(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
-    """What the search found beside an unknown force of one kind, maybe nothing; None where there is no such force.
+    """The effects found beside an unknown force of one kind, maybe none; None where there is no such force.
 
-    Where the two leave next to nothing of the confirming ``data`` either, with the force fitted anew there.
+    Both must leave next to nothing of the confirming ``data`` too, with the force fitted again there.
     """
     force = outcome.of_a_kind
     if force is None:
@@ -79,32 +85,32 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
     known = _known_on(data, outcome)
     before = (force.start, _on(data, known, force.start))
     with suppress(SimulationError):
-        given = force.kind.beside_given()
-        there = acting(_on(data, known, force.found), given)
-        beside = _standing(force.outcome, force.found, there, data)
-        start = beside.found if beside.names else force.outcome.path[0]
-        beside = replace(beside, found=_in_the_loop(start, force.kind))
-        after = (beside.found, evaluate(acting(_on(data, there, beside.found), given)))
+        kind = force.kind.with_baseline()
+        there = acting(_on(data, known, force.fitted), kind)
+        beside = _standing(force.outcome, force.fitted, there, data)
+        start = beside.fitted if beside.names else force.outcome.path[0]
+        beside = replace(beside, fitted=_in_the_loop(start, force.kind))
+        after = (beside.fitted, evaluate(acting(_on(data, there, beside.fitted), kind)))
         if all(map(next_to_nothing, before, after)):
-            is_all = force.is_plain and all(only_noise(one, rules.AT_FLOOR) for one in after)
-            return replace(beside, kind=force.kind.name, left=max(map(force_rms, after)), is_all=is_all)
+            is_all = force.is_plain and all(only_noise(hypothesis, rules.AT_FLOOR) for hypothesis in after)
+            return replace(beside, kind=force.kind.name, remaining_force=max(map(force_rms, after)), is_all=is_all)
     return None
 
 
-def _in_the_loop(found: Fit, kind: Kind) -> Fit:
-    """``found`` with its numbers and the force that acts fitted in turn; no number is known better than it moved."""
-    fits = in_turn(found, kind)
+def _in_the_loop(fitted: Fit, kind: Kind) -> Fit:
+    """``fitted`` with parameters and acting force fitted in turn; deviations cover the changes on the way."""
+    fits = in_turn(fitted, kind)
     last = robust(fits[-1])
-    return evaluate(last, last.slots, widened(last.covariance, [one.model.vector(last.slots) for one in fits]))
+    return evaluate(last, last.slots, widened(last.covariance, [step.model.vector(last.slots) for step in fits]))
 
 
 def found_beside_state(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
-    """What a second search finds beside the state and the confirming ``data`` ask for there; None where nothing."""
+    """The effects that a second search finds beside the state and ``data`` confirm; None without any."""
     again = search_beside(outcome.calibration, beside_state(outcome.calibration.baseline))
     if again.best.model.names == outcome.path[0].model.names:
         return None
-    found = again.calibration.judge.refitted(again.best)
-    beside = _standing(again, found, beside_state(_known_on(data, outcome)), data)
+    fitted = again.calibration.judge.refitted(again.best)
+    beside = _standing(again, fitted, beside_state(_known_on(data, outcome)), data)
     return beside if beside.names else None
 
 
@@ -113,42 +119,42 @@ def _known_on(data: HeldOut, outcome: Outcome) -> Hypothesis:
     return Hypothesis(data.problem, outcome.path[0].model.only(0))
 
 
-def _on(data: HeldOut, there: Hypothesis, found: Fit) -> Hypothesis:
-    """The model of ``found`` on the confirming ``data`` as they are judged ``there``."""
-    return there.with_model(adapted(data, found.model, found.model))
+def _on(data: HeldOut, there: Hypothesis, fitted: Fit) -> Hypothesis:
+    """The model of ``fitted`` on the confirming ``data``, in the problem of ``there``."""
+    return there.with_model(adapt(data, fitted.model, fitted.model))
 
 
-def _standing(again: Outcome, found: Fit, there: Hypothesis, data: HeldOut) -> BesideUnknown:
-    """What the confirming ``data`` ask for of what the search ``again`` ``found``, beside the force as it is ``there``.
+def _standing(again: Outcome, fitted: Fit, there: Hypothesis, data: HeldOut) -> BesideUnknown:
+    """The effects of ``fitted``, of the search ``again``, that stand on ``data`` beside the force of ``there``.
 
-    Empty where that is nothing.
+    Without effects where none stands.
     """
     data = replace(data, problem=there.problem)
-    stands, _ = standing(data, found)
+    stands, _ = standing(data, fitted)
     return BesideUnknown(stands, claims_on(data, stands), alike_in_company(again, stands))
 
 
 def joined(stands: Fit, beside: BesideUnknown, data: HeldOut) -> tuple[Fit, list[Share]]:
-    """``stands`` with the effects of ``beside`` as they were found, all else fitted again and asked for.
+    """``stands`` with the effects of ``beside`` unchanged and all else refitted, and the shares of its own effects.
 
-    Without those of ``stands`` that the confirming ``data`` do not ask for in this company.
+    Without the effects of ``stands`` that the confirming ``data`` do not want beside these.
     """
     own = stands.model.without_named([name for name in beside.names if name in stands.model.names])
     fitted = _fitted_around(stands.with_model(own), beside)
-    asked = claims_on(data, fitted)
-    gone = [one.name for one in asked if one.name in own.names and not one.stands]
+    shares = claims_on(data, fitted)
+    gone = [share.name for share in shares if share.name in own.names and not share.stands]
     if gone:
         fitted = _fitted_around(stands.with_model(own.without_named(gone)), beside)
-        asked = claims_on(data, fitted)
-    return fitted, [one for one in asked if one.name in own.names]
+        shares = claims_on(data, fitted)
+    return fitted, [share for share in shares if share.name in own.names]
 
 
 def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
-    """``start`` fitted with the effects of ``beside`` added, whose numbers and deviations stay.
+    """``start`` fitted with the effects of ``beside`` added, whose parameters and deviations stay.
 
-    From its own baseline and from that of ``beside``: where all that stood was withdrawn, friction may be gone.
+    From its own baseline and from that of ``beside``: its own may lack friction once its effects are withdrawn.
     """
-    model, theirs = start.model, beside.found.model
+    model, theirs = start.model, beside.fitted.model
     places = {}
     for name in beside.names:
         index = theirs.names.index(name)
@@ -159,24 +165,24 @@ def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
     fits = side_by_side(fit, [(start.with_model(b), "used", own) for b, own in zip(begins, free, strict=True)])
     fitted = min(fits, key=lambda f: f.cost)
     own = fitted.slots
-    moved = [(i, replace(s, effect=places[s.effect])) for i, s in enumerate(beside.found.slots) if s.effect in places]
+    moved = [(i, replace(s, effect=places[s.effect])) for i, s in enumerate(beside.fitted.slots) if s.effect in places]
     rows = np.array([i for i, _ in moved], dtype=int)
     covariance = np.zeros((len(own) + rows.size,) * 2)
     covariance[: len(own), : len(own)] = fitted.covariance
-    covariance[len(own) :, len(own) :] = beside.found.covariance[np.ix_(rows, rows)]
+    covariance[len(own) :, len(own) :] = beside.fitted.covariance[np.ix_(rows, rows)]
     return evaluate(fitted, (*own, *(slot for _, slot in moved)), covariance)
 
 
 @dataclass(frozen=True)
 class Validation:
-    """The verdict on an ``outcome`` and the models it speaks of, both fitted to all that may be used.
+    """The verdict on an ``outcome`` and its two models, both fitted to all used samples.
 
-    Where structure is left that has no name, both are the robust estimate of the baseline.
-    ``confirmed`` is how much of each finding the confirming data ask for; ``equivalents`` of each finding are effects
-    that could stand in its place; ``refuted`` is what the held-out data withdrew; ``given_up`` are the effects of a
-    model that explained ``share`` of the gap and did not stand; ``kind``, one of ``unknown_force.KINDS``, says what the
-    rest is like, where that is known, and ``kind_leaves`` [N] what would be left with an unknown force of that kind.
-    ``in_free_run`` are the velocity errors [m/s] of baseline and ``given_up`` effects where those refute the effects.
+    For an unnamed structure both are the robust estimate of the baseline. ``confirmed`` is the share of each finding on
+    the confirming data; ``equivalents`` are the effects that explain the records as well in its place; ``refuted`` are
+    the shares that the held-out data withdrew; ``given_up`` are the effects of a model that explained ``share`` of the
+    gap and did not stand; ``kind``, one of ``unknown_force.KINDS``, is the kind of the rest, where known, and
+    ``kind_leaves`` [N] the residual with an unknown force of that kind. ``in_free_run`` are the velocity errors [m/s]
+    of the baseline and of the model with ``given_up`` effects where these refute the effects.
     """
 
     outcome: Outcome
@@ -196,24 +202,24 @@ class Validation:
 
     @property
     def training_is_quiet(self) -> bool:
-        """Whether the extended model leaves nothing but noise of the records that it was fitted to."""
+        """Whether the extended model leaves only noise on the training records."""
         return self.train.gap.extended <= rules.QUIET * self.outcome.calibration.floor.force
 
     def beside_something_unknown(self) -> Validation:
-        """The same findings, where data that were not searched show that something else is missing."""
+        """The same findings with the verdict that something else is missing, as data not searched show."""
         named = self.verdict in ("named", "ambiguous", "partly-named")
         return replace(self, verdict="partly-named" if named else "unnamed")
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """What is said of the models so far; ``held_out`` compares them, where that was done."""
+    """A preliminary answer; ``held_out`` compares its models on the confirming data, None if not done yet."""
 
     verdict: str
     baseline: Fit
     extended: Fit
     equivalents: dict[str, list[str]]
-    asked: list[Share]
+    shares: list[Share]
     refuted: tuple[Share, ...]
     given_up: tuple[str, ...]
     held_out: GapComparison | None
@@ -221,8 +227,8 @@ class _Answer:
     kind_leaves: float = math.inf
 
     @property
-    def left(self) -> tuple[float, float]:
-        """Force [N] that baseline and model leave, of the confirming data where they were compared there."""
+    def remaining_force(self) -> tuple[float, float]:
+        """Force [N] that baseline and model leave, on the confirming data where compared there."""
         if self.held_out is None:
             return force_rms(self.baseline), force_rms(self.extended)
         return self.held_out.gap.baseline, self.held_out.gap.extended
@@ -231,8 +237,8 @@ class _Answer:
 def validate(outcome: Outcome, progress: Progress) -> Validation:
     """Refit the search's best model on everything, open the confirming data, and reach a verdict.
 
-    A search that ended early for an unknown force is gone on with where those data do not confirm the force, or with it
-    no effect that could be named.
+    A search that ended early at an unknown force is finished where these data do not confirm the force, or no effect
+    can be named beside it.
     """
     calibration = outcome.calibration
     problem, data = calibration.baseline.problem, calibration.preparation.held_out
@@ -241,7 +247,7 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
         data = data.with_whitening(problem.whitening)
         force = found_beside_kind(outcome, data)
     if outcome.ended_early and (force is None or not force.is_an_answer):
-        outcome = replace(finished(outcome, progress), of_a_kind=None)
+        outcome = replace(finish_search(outcome, progress), of_a_kind=None)
     start = fit(calibration.baseline, part="used")
     searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
     answer, share, left_over = _all_or_nothing(outcome, data, start, searched, force)
@@ -252,7 +258,7 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
         answer = replace(answer, verdict="unnamed", given_up=answer.extended.model.names)
     if answer.verdict == "unnamed":
         estimate = robust(answer.baseline)
-        answer = replace(answer, baseline=estimate, extended=estimate, asked=[], held_out=None)
+        answer = replace(answer, baseline=estimate, extended=estimate, shares=[], held_out=None)
     baseline, extended, held_out = _alone(answer.baseline), centred(answer.extended), answer.held_out
     if data is not None and (held_out is None or baseline is not answer.baseline or extended is not answer.extended):
         held_out = compare_on(data, baseline.model, extended.model)
@@ -264,7 +270,7 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
         equivalents=answer.equivalents,
         train=compare(problem, baseline.model, extended.model),
         held_out=held_out,
-        confirmed={one.name: one.confirmed for one in answer.asked},
+        confirmed={effect_share.name: effect_share.confirmed for effect_share in answer.shares},
         refuted=answer.refuted,
         given_up=answer.given_up,
         share=share,
@@ -277,9 +283,9 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
 def _refuted_in_free_run(start: Fit, answer: _Answer) -> tuple[float, float] | None:
     """Velocity errors [m/s] of the baseline and the extended model driven by the command alone, where those refute it.
 
-    A model that is made to follow its record is judged by the force that takes, and an effect can take the place of
-    another in that force alone: a dead zone that of a load on a spring. Moving freely it leads elsewhere. Both by least
-    squares, ``start`` the baseline. What the sensor adds moves nothing, and a motion without bound tells nothing.
+    A model that follows its record is judged by the force this takes, and an effect can replace another in that force
+    alone: a dead zone a load on a spring. In a free motion it fails. Both models by least squares, ``start`` is the
+    baseline. Effects of the sensor move nothing, and an unbounded motion tells nothing.
     """
     effects = answer.extended.model.effects
     if not answer.extended.problem.follows or answer.verdict == "unnamed" or not effects:
@@ -295,83 +301,91 @@ def _refuted_in_free_run(start: Fit, answer: _Answer) -> tuple[float, float] | N
 def _all_or_nothing(
     outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit, force: BesideUnknown | None
 ) -> tuple[_Answer, float, bool]:
-    """The verdict on all effects of ``searched`` together, less what the confirming ``data`` refute.
+    """The verdict on all effects of ``searched`` together, without those that the confirming ``data`` refute.
 
-    ``start`` is the baseline. Also returns the share of the gap that is closed, and whether so much is left over, or
-    explained by an unknown ``force``, that each effect should stand on its own evidence.
+    ``start`` is the baseline. Also returns the closed share of the gap, and whether so much is left, or explained by an
+    unknown ``force``, that each effect must stand on its own evidence.
     """
     calibration, extended = outcome.calibration, searched
     judge, floor, lost = calibration.judge, calibration.floor.force, 0.0
-    asked: list[Share] = []
+    shares: list[Share] = []
     refuted: tuple[Share, ...] = ()
     if data is not None:
         learnt = start.cost - extended.cost
-        extended, asked, refuted = confirm(judge, data, extended)
+        extended, shares, refuted = confirm(judge, data, extended)
         lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
 
-    # What the plant's effects explain, beside a disturbance of the controller that is known from its law.
+    # Share of the gap closed by the plant's effects, beside a disturbance known from the controller's law.
     named = extended.model.names != start.model.names
-    left = [force_rms(extended)]
-    shares = [explained(force_rms(start), left[0], floor)]
+    remaining = [force_rms(extended)]
+    closed = [explained(force_rms(start), remaining[0], floor)]
     held_out = None if data is None else compare_on(data, start.model, extended.model)
     if held_out is not None:
-        left.append(min(held_out.left, held_out.gap.extended))
-        shares.append(explained(held_out.gap.baseline, left[-1], floor))
-    found = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
-    verdict = _verdict(judge, extended, start, found, shares[-1], max(left))
-    # A gap closed on its own record only was not understood; nor was one of which a good part was refuted.
-    forgotten = named and shares[-1] < rules.HELD * min(shares[0], 1.0)  # all of it, where less than noise is left
+        remaining.append(min(held_out.remaining_force, held_out.gap.extended))
+        closed.append(explained(held_out.gap.baseline, remaining[-1], floor))
+    rivals = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
+    verdict = _verdict(judge, extended, start, rivals, closed[-1], max(remaining))
+    # A gap closed on the training record only is not explained; nor is one of which a good part was refuted.
+    forgotten = named and closed[-1] < rules.HELD * min(closed[0], 1.0)  # at most 1, where less than noise is left
     doubtful = lost > rules.LOST and not judge.at_floor(extended)
     nothing_yet = outcome.interrupted and not extended.model.names
     if nothing_yet or forgotten or doubtful:
         verdict = "unnamed"
-    if calibration.preparation.unexplained_law:  # known as a command, but not what it is
+    if calibration.preparation.unexplained_law:  # known as a command, but not explained
         verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
     open_gap = judge.leaves_unexplained(extended) and (
-        min(shares) < rules.COMPLETE or _explains(force, max(left), floor)
+        min(closed) < rules.COMPLETE or _explains(force, max(remaining), floor)
     )
     given_up = extended.model.names if verdict == "unnamed" and named else ()
-    answer = _Answer(verdict, start, extended, found, asked, refuted, given_up, held_out)
-    return answer, shares[-1], (failed or forgotten or open_gap) and not nothing_yet
+    answer = _Answer(verdict, start, extended, rivals, shares, refuted, given_up, held_out)
+    return answer, closed[-1], (failed or forgotten or open_gap) and not nothing_yet
 
 
-def _explains(force: BesideUnknown | None, left: float, floor: float) -> bool:
-    """Whether an unknown ``force``, and the effects to name beside it, explain a good part of what is ``left`` [N]."""
-    return force is not None and bool(force.names) and explained(left, force.left, floor) >= rules.OF_A_KIND
+def _explains(force: BesideUnknown | None, remaining: float, floor: float) -> bool:
+    """Whether an unknown ``force`` with effects to name explains a good part of ``remaining`` [N]."""
+    return (
+        force is not None
+        and bool(force.names)
+        and explained(remaining, force.remaining_force, floor) >= rules.OF_A_KIND
+    )
 
 
 def _effect_by_effect(
     outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer, force: BesideUnknown | None
 ) -> _Answer:
-    """What stands on its own evidence: all or nothing is the wrong question where structure is left.
+    """The answer with the effects that stand on their own evidence, for models that leave structure.
 
-    Beside an unknown ``force`` of one kind, where that and few effects leave next to nothing of the confirming ``data``
-    too; where none is needed, nothing is said. Else of ``searched``, with what stands beside any function of the state,
-    and only what leaves less of those data than its baseline.
+    Beside an unknown ``force`` of one kind, where it and few effects leave next to nothing of the confirming ``data``
+    too; without effects nothing is named. Otherwise effects of ``searched``, and those that stand beside any function
+    of the state, where the model leaves less of these data than its baseline.
     """
     if data is not None and force is not None and force.is_an_answer:
         nothing = _Answer("partly-named", answer.baseline, answer.baseline, {}, [], (), (), None)
         answers = [_with(force, nothing, answer.baseline, data)] if force.names else []
     else:
         answers = _beside_anything(outcome, data, searched, answer)
-    compared = [_compared(one, data) for one in answers if _sayable(one)]
-    tenable = [one for one in compared if one.kind or one.left[1] < one.left[0]]
+    compared = [_compared(candidate, data) for candidate in answers if _sayable(candidate)]
+    tenable = [
+        candidate
+        for candidate in compared
+        if candidate.kind or candidate.remaining_force[1] < candidate.remaining_force[0]
+    ]
     if tenable:
-        return min(tenable, key=lambda one: one.left[1])
+        return min(tenable, key=lambda candidate: candidate.remaining_force[1])
     given_up = answer.given_up or answer.extended.model.names
-    floor, missed = outcome.calibration.floor.force, max(force_rms(answer.baseline), answer.left[0])
-    if force is not None and explained(missed, force.left, floor) >= rules.OF_A_KIND:
-        answer = replace(answer, kind=force.kind, kind_leaves=force.left)
+    floor, missed = outcome.calibration.floor.force, max(force_rms(answer.baseline), answer.remaining_force[0])
+    if force is not None and explained(missed, force.remaining_force, floor) >= rules.OF_A_KIND:
+        answer = replace(answer, kind=force.kind, kind_leaves=force.remaining_force)
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents if answers else {}, given_up=given_up)
 
 
 def _beside_anything(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> list[_Answer]:
-    """What of ``searched`` stands on its own evidence, and the same with what is found beside the state."""
+    """Answers of the effects of ``searched`` that stand alone, first with those found beside the state, if any."""
     by_itself = partial(_by_itself, outcome, data, searched, answer)
     if data is None:
         return [by_itself()]
-    # The longest first, as this thread hears an interrupt: that ends the search only.
+    # The longest first, in this thread, where an interrupt arrives: it ends the search only.
     beside, own = side_by_side(
         lambda find: find(), [(find,) for find in (partial(found_beside_state, outcome, data), by_itself)]
     )
@@ -381,30 +395,30 @@ def _beside_anything(outcome: Outcome, data: HeldOut | None, searched: Fit, answ
 def _by_itself(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
     """``answer`` with those effects of ``searched`` that stand on their own evidence."""
     stands, withdrawn = standing(data, searched)
-    asked = [] if data is None else claims_on(data, stands)
+    shares = [] if data is None else claims_on(data, stands)
     return _Answer(
-        "partly-named", robust(answer.baseline), stands, alike_in_company(outcome, stands), asked, withdrawn, (), None
+        "partly-named", robust(answer.baseline), stands, alike_in_company(outcome, stands), shares, withdrawn, (), None
     )
 
 
 def _with(beside: BesideUnknown, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
-    """``answer`` with what was found ``beside`` an unknown force in the place of what it has of the same name."""
-    both, asked = joined(answer.extended, beside, data)
+    """``answer`` with the effects ``beside`` an unknown force, which replace those of the same name."""
+    both, shares = joined(answer.extended, beside, data)
     own = [name for name in both.model.names if name not in beside.names]
     return replace(
         answer,
         baseline=baseline,
         extended=both,
         kind=beside.kind,
-        kind_leaves=beside.left,
+        kind_leaves=beside.remaining_force,
         equivalents={name: answer.equivalents.get(name, []) for name in own} | beside.equivalents,
-        asked=asked + beside.asked,
-        refuted=tuple(one for one in answer.refuted if one.name not in beside.names),
+        shares=shares + beside.shares,
+        refuted=tuple(share for share in answer.refuted if share.name not in beside.names),
     )
 
 
 def _sayable(answer: _Answer) -> bool:
-    """Whether ``answer`` names anything, and few enough others could be meant."""
+    """Whether ``answer`` names an effect, and none has too many equivalents."""
     many = any(len(others) > rules.MOST_EQUIVALENTS for others in answer.equivalents.values())
     return len(answer.extended.model.names) > len(answer.baseline.model.names) and not many
 
@@ -417,23 +431,25 @@ def _compared(answer: _Answer, data: HeldOut | None) -> _Answer:
 
 
 def _alone(start: Fit) -> Fit:
-    """The baseline without the controller's disturbance, which the search took as known from the law."""
+    """The baseline without the controller's disturbance, which is known from the law."""
     if not start.model.names:
         return start
     return evaluate(start.with_model(replace(start.model, effects=(), values=())), start.slots, start.covariance)
 
 
-def _verdict(judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float, left: float) -> str:
-    """The verdict on ``best``, which explains ``share`` of the force gap; ``known`` is what the search began with.
+def _verdict(
+    judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[str]], share: float, remaining: float
+) -> str:
+    """The verdict on ``best``, which explains ``share`` of the force gap; the search started with ``known``.
 
-    Where the model leaves structure, what was found stands only if it explains most of the gap. Nothing is missing only
-    where all of the record and the confirming data say so, of which ``left`` [N] is the rms left of the worse one.
+    Where the model leaves structure, effects stand only if they explain most of the gap. Nothing is missing only where
+    training and confirming data say so; ``remaining`` [N] is the larger rms of both.
     """
     if best.model.names == known.model.names:
         if judge.leaves_structure(best):
             return "unnamed"
         if not best.model.names:
-            if left > rules.QUIET * judge.floor.force:
+            if remaining > rules.QUIET * judge.floor.force:
                 return "unnamed"
             return "parameters-only" if wrong_numbers(best) else "nothing-missing"
     elif not judge.at_floor(best) and share < rules.EXPLAINED:
@@ -444,7 +460,7 @@ def _verdict(judge: Judge, best: Fit, known: Fit, equivalents: dict[str, list[st
 
 
 def wrong_numbers(fitted: Fit) -> list[int]:
-    """Places in the baseline at which the axis file is off: clearly, and by more than next to nothing."""
+    """Indices of the baseline parameters at which the axis file is wrong: significantly, and by a relevant amount."""
     off = fitted.model.baseline - fitted.problem.axis.mechanics.array()
     return [
         slot.place

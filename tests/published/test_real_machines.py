@@ -146,7 +146,7 @@ def test_a_motor_cogs_72_times_a_turn_and_as_much_with_its_table_on():
     for number, line in zip(ripple.several(), lines, strict=False):
         model = model.with_effect(number, number.values(line))
     fitted = fit(on.with_model(model), part="used", steps=20)
-    noise = floor_of_residual(fitted.left(), record.period, LEFT).whitening
+    noise = floor_of_residual(fitted.remaining_force(), record.period, LEFT).whitening
     fitted = fit(Hypothesis(on.problem.with_whitening(noise), fitted.model), part="used", steps=20)
     assert tuple(fitted.model.baseline[:3]) == tuple(axis.mechanics.array()[:3])  # one speed does not tell them
     for index, finding in enumerate(found.findings[:4]):

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import beam_search, diagnose, extension, rules
-from emps_design.discrepancy.acceptance import Judge, _seen_again
+from emps_design.discrepancy.acceptance import Judge, _gain_repeats
 from emps_design.discrepancy.beam_search import (
     MOST_EFFECTS,
     _extend,
     _far_behind,
-    _found_before,
     _late,
     _pair,
     _pays_again,
+    _previous_model,
     _rivals,
     exchanges,
     pruned,
@@ -123,13 +123,13 @@ def test_a_search_goes_on_from_a_model_found_before_that_leaves_less():
     delayed = BASELINE.with_effect(DELAY, np.array([[1.5e-3]]))
     current = fit(hypothesis(BASELINE.with_effect(SPRING, np.array([[1.0, 0.0]])), DELAYED))
     tried = {}
-    found = _found_before(delayed, current, tried)
+    found = _previous_model(delayed, current, tried)
     assert found.model.names == ("actuator_delay",)
     assert found.model.values[0][0, 0] == pytest.approx(1.6e-3, rel=1e-2)  # fitted under the noise of ``current``
     assert tried == {frozenset({"actuator_delay"}): found}
-    assert _found_before(None, current, {}) is None
-    assert _found_before(delayed, found, {}) is None  # where the search has ended already
-    assert _found_before(current.model, found, {}) is None  # leaves more
+    assert _previous_model(None, current, {}) is None
+    assert _previous_model(delayed, found, {}) is None  # where the search has ended already
+    assert _previous_model(current.model, found, {}) is None  # leaves more
     outcome = Outcome(None, (current,), {})
     assert with_before(outcome, delayed).path == (current, outcome.tried[frozenset({"actuator_delay"})])
     assert with_before(outcome, None) is outcome
@@ -395,11 +395,11 @@ def test_an_effect_that_fades_is_seen_again_by_what_it_changes():
     )
     fitted = lambda left: SimpleNamespace(problem=problem, innovations=(left,), loudness=(np.ones(n),))  # noqa: E731
     fading = np.where(later, 0.5, 2.0)
-    assert _seen_again(fitted(noise), fitted(noise + fading), 5.0)
+    assert _gain_repeats(fitted(noise), fitted(noise + fading), 5.0)
     elsewhere = np.where(later, 0.5 * np.sign(np.sin(np.arange(n))), 0.0)  # a stand-in changes what it should not
-    assert not _seen_again(fitted(noise + elsewhere), fitted(noise + np.where(later, 0.0, 2.0)), 5.0)
+    assert not _gain_repeats(fitted(noise + elsewhere), fitted(noise + np.where(later, 0.0, 2.0)), 5.0)
     faint = np.where(later, 0.05, 2.0)
-    assert not _seen_again(fitted(noise), fitted(noise + faint), 5.0)
+    assert not _gain_repeats(fitted(noise), fitted(noise + faint), 5.0)
 
 
 def test_a_burst_that_noise_makes_again_and_again_is_no_evidence():
@@ -436,7 +436,7 @@ def test_another_exponent_is_tried_from_the_axis_files_friction_where_the_first_
 
 def test_under_finer_noise_nothing_is_gone_on_from_where_nothing_was_found():
     current = SimpleNamespace(model=SimpleNamespace(names=("stribeck_friction",)))
-    assert _found_before(SimpleNamespace(names=()), current, {}) is None
+    assert _previous_model(SimpleNamespace(names=()), current, {}) is None
 
 
 def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less():

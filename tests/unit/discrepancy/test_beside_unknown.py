@@ -15,7 +15,7 @@ from emps_design.discrepancy.fit import evaluate, fit
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Whitening
 from emps_design.discrepancy.problem import Hypothesis, Problem
-from emps_design.discrepancy.records import seen_up_to, split
+from emps_design.discrepancy.records import acceleration_band, split
 from emps_design.discrepancy.starts import starts, tangent
 from emps_design.discrepancy.unknown_force import KINDS, beside_kind, beside_state, inertia, missing_force, with_kind
 from emps_design.discrepancy.verdict import BesideUnknown, _fitted_around
@@ -64,7 +64,7 @@ def test_a_function_of_the_state_leaves_nothing_and_a_weight_does():
     start = Hypothesis(problem(), Candidate(AXIS.mechanics.array()))
     beside = beside_state(start)
     assert np.std(beside.residual("used")) < 0.35 * np.std(start.residual("used"))
-    assert np.std(np.concatenate(beside.left())) < 0.35 * np.std(np.concatenate(start.left()))
+    assert np.std(np.concatenate(beside.remaining_force())) < 0.35 * np.std(np.concatenate(start.remaining_force()))
     effect = get_effect("mass_change")
     heavier = beside.with_model(beside.model.with_effect(effect, effect.values({"change": 0.08, "time": AT})))
     assert np.linalg.norm(heavier.residual("used") - beside.residual("used")) > 30.0
@@ -146,7 +146,7 @@ def beside_crank():
 def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_does():
     start = beside_crank()
     left = [
-        np.std(beside_kind(start, coarse.beside_given()).residual("used"))
+        np.std(beside_kind(start, coarse.with_baseline()).residual("used"))
         for related in KINDS
         for coarse, *_ in related
     ]
@@ -158,7 +158,7 @@ def test_what_is_the_same_everywhere_is_the_models_where_it_is_fitted_and_the_fo
     start = beside_crank()
     heavier = start.with_model(Candidate(AXIS.mechanics.array() * [1.1, 1.0, 1.0, 1.0]))
     varies = KINDS[0][0][0]
-    left = [np.std(beside_kind(heavier, kind).residual("used")) for kind in (varies, varies.beside_given())]
+    left = [np.std(beside_kind(heavier, kind).residual("used")) for kind in (varies, varies.with_baseline())]
     assert left[1] < 0.5 * left[0]
     fitted = fit(beside_kind(heavier, varies), "used")
     assert np.std(fitted.residual("used")) == pytest.approx(left[1], rel=0.3)
@@ -182,13 +182,13 @@ def test_an_inertia_along_the_travel_is_that_of_lagranges_equation():
 def test_an_acceleration_is_looked_at_as_far_as_the_encoder_sees_it(resolution, least, most):
     q = 0.05 * np.sin(2.0 * np.pi * np.arange(5000) * 1e-3)
     seen = Record(t=1e-3 * np.arange(q.size), q_ref=q, q=np.round(q / resolution) * resolution, u=0.0 * q, period=1e-3)
-    assert least <= seen_up_to(seen) <= most
+    assert least <= acceleration_band(seen) <= most
 
 
 def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
     seen = with_force(crank, 1, SLOWER)
     start = Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array()))
-    linear, within = (judge(start, KINDS[0][0][0].beside_given()) for judge in (beside_kind, with_kind))
+    linear, within = (judge(start, KINDS[0][0][0].with_baseline()) for judge in (beside_kind, with_kind))
     assert np.std(within.residual("used")) < 0.95 * np.std(linear.residual("used"))
     assert np.std(within.problem.acting[0] - crank(seen.q)) < 0.1 * np.std(crank(seen.q))
     assert within.problem.remembered is not start.problem.remembered  # other forces act: other residuals
@@ -284,7 +284,7 @@ def test_no_unknown_force_is_needed_where_effects_leave_less(stopped):
     force, (baseline, *_) = stopped.of_a_kind, stopped.path
     again = beam_search._of_a_kind(stopped.calibration, [baseline, baseline], None)
     assert [one.kind for one in again] == [force.kind]
-    better = evaluate(force.found)  # as effects that leave as little would
+    better = evaluate(force.fitted)  # as effects that leave as little would
     assert beam_search._of_a_kind(stopped.calibration, [baseline, baseline, better], None) == []
 
 
@@ -298,11 +298,11 @@ def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(mo
 
     gone_on = []
 
-    def recorded(outcome, *rest, goes_on=verdict.finished):
+    def recorded(outcome, *rest, goes_on=verdict.finish_search):
         gone_on.append(outcome)
         return goes_on(outcome, *rest)
 
-    monkeypatch.setattr(verdict, "finished", recorded)
+    monkeypatch.setattr(verdict, "finish_search", recorded)
     monkeypatch.setattr(verdict, "found_beside_kind", finds)
     answer = explain(verdict.validate(stopped, no_progress))
     assert bool(gone_on) is (confirmed in ("with nothing to name", ""))
@@ -323,12 +323,12 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
         stopped.append(search(*arguments))
         return stopped[-1]
 
-    def past(outcome, progress, goes_on=beam_search.finished, **named):
+    def past(outcome, progress, goes_on=beam_search.finish_search, **named):
         gone_on.append(outcome)
         return goes_on(outcome, progress, **named)
 
     monkeypatch.setattr(module, "search_or_kind", searched)
-    monkeypatch.setattr(beam_search, "finished", past)
+    monkeypatch.setattr(beam_search, "finish_search", past)
     told = []
     library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
     first, second = with_force(crank, 1, SMOOTH), with_force(crank, 2, SLOWER)
@@ -344,9 +344,9 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
 def test_what_is_left_counts_as_unknown_where_a_force_beside_effects_explains_half_of_it(names, leaves, explains):
     asked = [Share(name, 1.0, 0.01, 1.0, exercised=True) for name in names]
     found = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
-    force = BesideUnknown(found, asked, {}, kind="a memory", left=leaves)
-    assert verdict._explains(force, left=1.8, floor=1.0) is explains
-    assert not verdict._explains(None, left=1.8, floor=1.0)
+    force = BesideUnknown(found, asked, {}, kind="a memory", remaining_force=leaves)
+    assert verdict._explains(force, remaining=1.8, floor=1.0) is explains
+    assert not verdict._explains(None, remaining=1.8, floor=1.0)
 
 
 @pytest.mark.study("a whole diagnosis beside an unknown force")

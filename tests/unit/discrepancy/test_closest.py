@@ -79,7 +79,7 @@ def test_an_event_or_a_contact_describes_nothing(monkeypatch):
     monkeypatch.setattr(closest, "tangent", lambda found: None)
     monkeypatch.setattr(closest, "fit", lambda found, part: found)
     monkeypatch.setattr(closest, "screen", lambda found, library, absorbed: asked.extend(library) or [])
-    closest.described(None, tuple(known_effects().values()))
+    closest.describe(None, tuple(known_effects().values()))
     names = {effect.name for effect in asked}
     assert {"force_map", "friction_map", "maxwell_slip_friction", "stribeck_friction"} <= names
     assert not names & {"external_force", "mass_change", "end_stop", "backlash", "actuator_lag", "encoder_error"}

@@ -10,7 +10,7 @@ import pytest
 from emps_design.discrepancy.acceptance import Judge
 from emps_design.discrepancy.beam_search import UNFINISHED
 from emps_design.discrepancy.calibration import Outcome
-from emps_design.discrepancy.confirmation import Share, _size_known, asked_for, standing
+from emps_design.discrepancy.confirmation import Share, _size_known, effect_shares, standing
 from emps_design.discrepancy.diagnose import NOT_REPEATED, _finer, _repeated
 from emps_design.discrepancy.fit import evaluate, fit
 from emps_design.discrepancy.least_squares import Candidate
@@ -57,7 +57,7 @@ SPRING = {"stiffness": 60.0, "rest_position": 0.05}
     ("there", "share", "refuted"), quick([(30.0, 0.5, True), (60.0, 1.0, False), (120.0, 2.0, True)], 1, "other shares")
 )
 def test_a_record_asks_for_the_share_that_is_there(there, share, refuted):
-    (asked,) = asked_for(Hypothesis(problem(there), model(elastic_force=SPRING)))
+    (asked,) = effect_shares(Hypothesis(problem(there), model(elastic_force=SPRING)))
     assert asked.exercised
     assert asked.share == pytest.approx(share, abs=max(5 * asked.std, 0.02))
     assert asked.refuted is refuted
@@ -65,7 +65,7 @@ def test_a_record_asks_for_the_share_that_is_there(there, share, refuted):
 
 def test_an_effect_that_the_record_does_not_bring_out_is_not_refuted():
     far = {"stiffness": 5e4, "position": 10.0, "side": 1.0}  # m
-    asked = asked_for(Hypothesis(problem(60.0), model(elastic_force=SPRING, end_stop=far)))
+    asked = effect_shares(Hypothesis(problem(60.0), model(elastic_force=SPRING, end_stop=far)))
     assert [a.exercised for a in asked] == [True, False]
     assert not any(a.refuted for a in asked)
 
@@ -79,7 +79,7 @@ def test_an_effect_stands_beside_something_unknown_and_what_stands_in_for_it_doe
     record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
     seen = Problem(AXIS, (record,), (split(record),), problem(0.0).whitening)
     there, stand_in = {**SPRING, "stiffness": 150.0}, {"amplitude": 3.0, "period": 0.04, "phase": 0.0}
-    asked = asked_for(Hypothesis(seen, model(elastic_force=there, position_ripple=stand_in)))
+    asked = effect_shares(Hypothesis(seen, model(elastic_force=there, position_ripple=stand_in)))
     assert [a.stands for a in asked] == [True, False]
     assert asked[0].confirmed["share"] == pytest.approx(1.0, abs=0.1)
 
@@ -115,7 +115,9 @@ def test_what_ends_on_a_bound_when_it_is_fitted_anew_does_not_stand(largest, sta
 @pytest.mark.parametrize(("stiffness", "more"), [(60.0, False), (90.0, True)])
 def test_a_force_of_more_than_noise_is_left_however_white_it_looks(stiffness, more):
     fitted = evaluate(Hypothesis(problem(60.0), model(elastic_force={**SPRING, "stiffness": stiffness})))
-    floor = floor_of_residual(evaluate(Hypothesis(problem(60.0), model(elastic_force=SPRING))).left(), 1e-3, LAPS)
+    floor = floor_of_residual(
+        evaluate(Hypothesis(problem(60.0), model(elastic_force=SPRING))).remaining_force(), 1e-3, LAPS
+    )
     judge = Judge(floor, SimpleNamespace(threshold=0.0))
     assert judge.leaves_force(fitted) is more
     assert judge.leaves_structure(fitted) is more
@@ -230,7 +232,9 @@ def test_noise_is_what_differs_between_laps_beyond_what_the_model_knows_of():
     begun = start.model.with_effect(effect, effect.values({"change": 0.4, "time_constant": 10.0}))
     drifting = fit(start.with_model(begun))
     taken = of_laps(start)
-    assert np.std(np.concatenate(drifting.left())) > taken.force  # the friction hides in the noise of unlike laps
+    assert (
+        np.std(np.concatenate(drifting.remaining_force())) > taken.force
+    )  # the friction hides in the noise of unlike laps
 
     def finer(floor, best, force=None):
         return _finer(SimpleNamespace(calibration=SimpleNamespace(floor=floor), best=best, of_a_kind=force))
@@ -242,7 +246,7 @@ def test_noise_is_what_differs_between_laps_beyond_what_the_model_knows_of():
     assert finer(again, drifting) is None
     # Nor is noise what an unknown force of one kind explains, with what was found beside it.
     assert finer(taken, start) is None
-    assert finer(taken, start, SimpleNamespace(found=drifting)).force == pytest.approx(again.force)
+    assert finer(taken, start, SimpleNamespace(fitted=drifting)).force == pytest.approx(again.force)
 
 
 @pytest.mark.parametrize(("is_plain", "unfinished"), [(True, False), (False, True)])
