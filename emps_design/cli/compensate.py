@@ -74,6 +74,7 @@ def command(
 
 def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed: float, acceleration: float) -> Any:
     from emps_design.simulation import scenarios
+    from emps_design.simulation.synthetic import trapezoid_laps
 
     period = axis.sampling.period
     if path is not None:
@@ -84,7 +85,7 @@ def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed
         return scenarios.half_ramp_program(period, (speed, 0.5 * speed, 0.25 * speed))
     if scenario == "multi-sine":
         return scenarios.multi_sine(period, amplitude=0.5 * stroke)
-    return scenarios.trapezoid_laps(period, stroke, speed, acceleration, laps=1)
+    return trapezoid_laps(period, stroke, speed, acceleration, laps=1)
 
 
 def _write(out: Path, compensation: Any, document: dict[str, Any]) -> str:

@@ -445,10 +445,11 @@ class Block:
                 k = 0
                 for j in range(self.law.memory):
                     memory[j] = 0.0
-            integral = None if self.waits is None else memory[self.waits]
+            waiting = self.waits
+            integral = 0.0 if waiting is None else memory[waiting]
             u[i] = kernel(k, *inputs, limit, gains, memory) + added[i]
-            if integral is not None and abs(u[i]) > limit:
-                memory[self.waits] = integral
+            if waiting is not None and abs(u[i]) > limit:
+                memory[waiting] = integral
             states[i] = memory[: self.law.memory]
             k += 1
         return u, states

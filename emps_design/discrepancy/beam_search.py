@@ -440,7 +440,8 @@ def _begin_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     first = calibration.preparation
     library = tuple(effect for effect in first.library if not effect.general and not effect.element)
     preparation = replace(first, start=start, library=library)
-    return begin_search(calibrate(preparation, start, calibration.floor, 0, 0, no_progress), no_progress, rules.CREDIBLE)
+    calibration = calibrate(preparation, start, calibration.floor, 0, 0, no_progress)
+    return begin_search(calibration, no_progress, rules.CREDIBLE)
 
 
 def _finish_beside(outcome: Outcome) -> Outcome:
