@@ -211,26 +211,25 @@ def identify(
 ) -> Identification:
     """Identify ``axis`` from ``record``: the same as the command ``identify``, with its options and defaults.
 
-    ``axis`` (default: the embedded emps2019) gives G_tau, the voltage limit, the controller and what is known already:
-    delays and lags of its drive, and its effects, whose force is taken out and which stay in the identified axis. Where
-    it has no controller, the one that made the record is looked for in it. ``model`` is ``symmetric`` or
-    ``asymmetric``. ``estimator`` is ``ls`` (least squares), ``iv`` (instruments), ``oe`` (closed-loop output error) or
-    ``auto``: ``ls``; ``iv`` where the Durbin-Wu-Hausman test says that ``ls`` is biased, at 1 % and by half a standard
-    deviation or more, or where it determines what noise hides from ``ls``; ``oe`` where noise leaves neither to
-    determine a parameter, it does, and all agree on the others.
-    ``filter`` is ``hold`` (the hold modelled, rests left out, cut-off from the data), ``report`` (2019 report) or
-    ``paper`` (2018 paper), the latter two for ``ls`` alone; ``cutoff`` [Hz] overrides the filter's own.
+    ``axis`` (default: the embedded emps2019) gives G_tau, the voltage limit, the controller, and what is known: delays
+    and lags of the drive, and effects, whose force is subtracted and which stay in the identified axis. A missing
+    controller is identified from the record. ``model`` is ``symmetric`` or ``asymmetric``. ``estimator`` is ``ls``
+    (least squares), ``iv`` (instruments), ``oe`` (closed-loop output error) or ``auto``: ``ls``; ``iv`` where the
+    Durbin-Wu-Hausman test finds ``ls`` biased, at 1 % and by at least half a standard deviation, or where it
+    determines a parameter that noise hides from ``ls``; ``oe`` where only it determines such a parameter and all agree
+    on the others. ``filter`` is ``hold`` (the hold modelled, rests left out, cut-off from the data), ``report`` (2019
+    report) or ``paper`` (2018 paper), the latter two for ``ls`` only; ``cutoff`` [Hz] overrides the filter's own.
 
-    ``more``: ``external_force`` "known" lets a measured external force take part as in (21), "refuse" (default) does
-    not; ``holdout`` is a record on which the fit is judged, without it the last third with parameters from the rest;
-    ``bootstrap`` redraws the noise that often, from ``seed``, and is one of ``ls``; ``with_`` names terms beside the
-    friction model, "gravity" (a weight on an axis that turns), "asymmetric-viscous" (viscous friction by direction) and
-    "bent-viscous" (``viscous |v|^viscous_exponent``), as a list or with commas between them, or forbids them ("none"):
-    without it ("auto") those that strokes which take no part in the fit ask for. The intervals hold what half and
-    twice the cut-off, the steps of the encoder and structure in the residual do. What cannot be, is far from ``axis``,
-    or is left unexplained is a warning. Raises :class:`InputError` for options that do not go together,
-    :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell apart,
-    :class:`AxisError` for ``iv`` and ``oe`` without a controller.
+    ``more``: with ``external_force`` "known" a measured external force takes part as in (21), with "refuse" (default)
+    it is refused. ``holdout`` is a record on which the fit is judged; without it the last third is, with parameters
+    from the rest. ``bootstrap`` is a number of redrawn noise sequences, from ``seed``, for ``ls`` only. ``with_`` names
+    terms beside the friction model, "gravity" (a weight on an axis that turns), "asymmetric-viscous" (viscous friction
+    by direction) and "bent-viscous" (``viscous |v|^viscous_exponent``), as a list or separated by commas, or "none";
+    with "auto" (default) those terms take part that held-out strokes call for. The intervals include the errors by the
+    cut-off (at half and twice), by the encoder's steps and by structure in the residual. Parameters that are impossible
+    or far from ``axis``, and an unexplained force, are warnings. Raises :class:`InputError` for options that do not go
+    together, :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell
+    apart, :class:`AxisError` for ``iv`` and ``oe`` without a controller.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record

@@ -252,8 +252,8 @@ def observe(
             "cut-offs"
         )
 
-    tell = progress or no_progress
-    tell("off-line observer", 0.0)
+    report_progress = progress or no_progress
+    report_progress("off-line observer", 0.0)
     filtered_motion = motion(record, offline_cutoff_hz)
     parameter = _parameter_bound(filtered_motion, axis, parameter_std)
     offline = observe_offline(filtered_motion, held_force(record, axis.drive.gain, offline_cutoff_hz), axis, rest)
@@ -262,7 +262,7 @@ def observe(
     share = 1 / (1 + len(online))
     for index, (name, observer) in enumerate(online.items(), 1):
         force = observe_online(
-            observer, record.q, record.u, partial(of_part(tell, index * share, share), f"{name} observer")
+            observer, record.q, record.u, partial(of_part(report_progress, index * share, share), f"{name} observer")
         )
         methods[name] = _judge(record, axis, force, observer.delay, ends[name], parameter, settings[name])
     return Observation(

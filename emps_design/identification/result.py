@@ -136,7 +136,7 @@ class Estimate:
 
     @property
     def determined(self) -> bool:
-        """Whether the record says anything about the parameter."""
+        """Whether the record determines the parameter."""
         return self.value is not None
 
     @property
