@@ -77,8 +77,9 @@ def pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept) 
         smaller = [best.model.without(i) for i, name in enumerate(best.model.names) if name not in known]
         # With the same effort as the best model, or every effect would look needed.
         careful = len(best.model.effects) <= rules.CREDIBLE
-        rests = side_by_side(_fit_with_play if careful else fit, [(best.with_model(model),) for model in smaller])
-        sound = [_better(rest, tried) for rest in rests if admissible(rest)]
+        refit = (lambda start: play_anew(fit(start))) if careful else fit
+        rests = filter(admissible, side_by_side(refit, [(best.with_model(model),) for model in smaller]))
+        sound = [min((rest, tried.get(set_of(rest), rest)), key=lambda f: f.cost) for rest in rests]
         idle = [rest for rest in sound if not accept(best, rest)]
         if not idle and sound:
             cheapest = _reshaped(best, min(sound, key=lambda f: f.cost))
@@ -88,16 +89,6 @@ def pruned(best: Fit, known: tuple[str, ...], tried: FitsBySet, accept: Accept) 
         best = converged(min(idle, key=lambda f: f.cost))
         path.append(best)
     return path
-
-
-def _fit_with_play(hypothesis: Hypothesis) -> Fit:
-    """Fit a model, its play by :func:`play_anew`."""
-    return play_anew(fit(hypothesis))
-
-
-def _better(fitted: Fit, tried: FitsBySet) -> Fit:
-    """The better of ``fitted`` and the fit in ``tried`` with the same effects."""
-    return min((fitted, tried.get(set_of(fitted), fitted)), key=lambda f: f.cost)
 
 
 def _reshaped(best: Fit, rest: Fit) -> Fit:
@@ -211,7 +202,9 @@ def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) ->
     baseline, accept = calibration.baseline, calibration.judge.accepts
     noise, library = baseline.problem.samples("used"), _library(calibration, general=False)
     if not _effect_count(calibration, path[-1]):
-        beam = [*beam, *_axis_baselines(path[-1])]
+        # Missing physics may have bent the fitted baseline: the axis file's is extended as well.
+        alternatives = map(evaluate, either_baseline(path[-1])[1:])
+        beam += [alternative for alternative in alternatives if alternative.innovations]
     while (number := 1 + _effect_count(calibration, path[-1])) <= most:
         explained = baseline.cost - path[-1].cost
         if number > rules.ENOUGH_ROUNDS and explained < rules.LEAST_EXPLAINED * (baseline.cost - noise):
@@ -232,11 +225,6 @@ def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) ->
         path.append(beam[0])
         if (1 - rules.WORTH_AT_FLOOR) * beam[0].cost < noise:
             beam = beam[:1]  # an effect added to another set would have to leave less than noise
-
-
-def _axis_baselines(fitted: Fit) -> list[Fit]:
-    """``fitted`` with the axis file's baseline, where missing physics may have bent the fitted one; else empty."""
-    return [alternative for alternative in map(evaluate, either_baseline(fitted)[1:]) if alternative.innovations]
 
 
 def _previous_model(before: Candidate | None, current: Fit, tried: FitsBySet) -> Fit | None:

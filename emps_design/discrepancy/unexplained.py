@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -248,33 +249,13 @@ def depends_on(
     return shares | {"frequency": _in_one_line(new, there)}
 
 
-def _position(missing: MissingForce) -> np.ndarray:
-    return missing.motion.q
-
-
-def _speed(missing: MissingForce) -> np.ndarray:
-    return np.abs(missing.motion.v)
-
-
-def _time(missing: MissingForce) -> np.ndarray:
-    return missing.motion.t - missing.motion.t[0]
-
-
-def _load(missing: MissingForce) -> np.ndarray:
-    return np.abs(missing.motion.tau)
-
-
-def _since_reversal(missing: MissingForce) -> np.ndarray:
-    """Logarithm of the samples since the last reversal, with which memory of standstill fades."""
-    return np.log1p(since_reversal(missing.motion.v))
-
-
-VARIABLES = {
-    "position": _position,
-    "velocity": _speed,
-    "time": _time,
-    "load": _load,
-    "time since a reversal": _since_reversal,
+VARIABLES: dict[str, Callable[[MissingForce], np.ndarray]] = {  # signals (n,) along a record
+    "position": lambda missing: missing.motion.q,
+    "velocity": lambda missing: np.abs(missing.motion.v),
+    "time": lambda missing: missing.motion.t - missing.motion.t[0],
+    "load": lambda missing: np.abs(missing.motion.tau),
+    # Memory of standstill fades with the logarithm of the time since the last reversal.
+    "time since a reversal": lambda missing: np.log1p(since_reversal(missing.motion.v)),
 }
 
 
