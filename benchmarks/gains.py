@@ -22,9 +22,14 @@ from emps_design.control.discretisation import sample_axis
 from emps_design.control.velocity.comparison import sampled_step
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import IP, PI
-from emps_design.control.velocity.limits import reach, suggest_filter
+from emps_design.control.velocity.limits import (
+    reach,
+    retune_velocity_loop,
+    retuned_gains,
+    retuned_pairs,
+    suggest_filter,
+)
 from emps_design.control.velocity.load_range import LoadRange, loaded, margins_over_range
-from emps_design.control.velocity.retune import retune_velocity_loop, retuned_gains, retuned_pairs
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import SpecificationError
 from emps_design.laws.library.cascade import Filter

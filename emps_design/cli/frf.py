@@ -74,7 +74,7 @@ def command(
 
 def _draw(path: Path, estimate: ResponseEstimate) -> None:
     from emps_design.files import write_aside
-    from emps_design.report.frequency_response import response_figure
+    from emps_design.report.loop_figures import response_figure
     from emps_design.report.style import draw, labelled
 
     figure = labelled(response_figure(estimate.comparison, estimate.spectral_ratio), estimate.axis.units)

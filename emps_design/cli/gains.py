@@ -157,7 +157,7 @@ def command(
     if retune and responses:
         design = _retuned(responses, machine, at, specification, limits)
     elif retune:
-        from emps_design.control.velocity.retune import retune_velocity_loop
+        from emps_design.control.velocity.limits import retune_velocity_loop
 
         design = retune_velocity_loop(machine, at=at, **specification)
     else:
@@ -169,7 +169,7 @@ def command(
     if retune:
         suggested = (machine, phase_margin, design.structure, design.filters, velocity)
         if responses:
-            from emps_design.frequency_response.retune import suggest_filter_on_response
+            from emps_design.frequency_response.loop import suggest_filter_on_response
 
             document["suggestion"] = suggest_filter_on_response(responses[0], *suggested)
         else:
@@ -247,7 +247,7 @@ def _retuned(
     responses: list[FrequencyResponse], machine: Axis, at: str, specification: dict[str, Any], limits: dict[str, float]
 ) -> VelocityLoopDesign:
     """Return the design that meets the specification on the single response in ``responses``."""
-    from emps_design.frequency_response.retune import retune_on_response
+    from emps_design.frequency_response.loop import retune_on_response
 
     if len(responses) > 1:
         raise InputError(f"--frf: found {len(responses)} responses to retune on, expected one")

@@ -24,11 +24,12 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.codegen.block import Ahead, Block
 from emps_design.codegen.machine import machine_of
-from emps_design.codegen.operations import operations_of
 from emps_design.codegen.targets import (
     Files,
     block_name,
     comment,
+    drive_settings,
+    gains_of,
     hash_of,
     in_c,
     in_json,
@@ -37,13 +38,12 @@ from emps_design.codegen.targets import (
     with_page,
     words_of,
 )
-from emps_design.codegen.vectors import Vectors, vectors_of
+from emps_design.codegen.vectors import Vectors, operations_of, vectors_of
 from emps_design.compensation.feedforward import FeedForward, terms_of
 from emps_design.compensation.study import digest_of
 from emps_design.control.sampled import axis_loop
 from emps_design.errors import AxisError, EmpsError, InputError, UnstableError
 from emps_design.files import write_text, write_together
-from emps_design.laws.drives import drive_settings, gains_of
 from emps_design.simulation import Plant
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared")

@@ -28,7 +28,17 @@ from emps_design.control.impedance.law import (
     impedance_law,
     safety_words,
 )
-from emps_design.control.impedance.passivity import largest_wall, passivity
+from emps_design.control.impedance.passivity import (
+    Clock,
+    SampledLoop,
+    extended_loop,
+    extended_radius,
+    largest_wall,
+    passivity,
+    recursion_poles,
+    relay_oscillation,
+    sampled_loop,
+)
 from emps_design.control.impedance.robustness import (
     VERDICTS,
     break_away,
@@ -44,15 +54,6 @@ from emps_design.control.impedance.robustness import (
     smallest_mass,
     verdict,
     worst_radius,
-)
-from emps_design.control.impedance.sampled import (
-    Clock,
-    SampledLoop,
-    extended_loop,
-    extended_radius,
-    recursion_poles,
-    relay_oscillation,
-    sampled_loop,
 )
 from emps_design.control.nested_loops import NestedLoop, worst_loop
 from emps_design.control.sampled import MARGINAL

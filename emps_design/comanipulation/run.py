@@ -18,9 +18,10 @@ import numpy as np
 
 from emps_design import laws as control_laws
 from emps_design.axis import Axis
-from emps_design.comanipulation.measures import (
+from emps_design.comanipulation.task import (
     MEASURES,
     Measures,
+    Task,
     finish,
     mark_unstable,
     measure,
@@ -29,7 +30,6 @@ from emps_design.comanipulation.measures import (
     measure_guided,
     reset,
 )
-from emps_design.comanipulation.task import Task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.robustness import VERDICTS, drift_speed, drift_threshold
 from emps_design.errors import InputError
@@ -81,7 +81,7 @@ def run_lanes(
     """Run the laws with gains ``own`` (m, OWN) and ``common``, m a multiple of LANES; fill ``measures`` (m, MEASURES).
 
     Commands act without delay; ``start`` = (q0, v0). ``hand`` (n, 6) are the parameters of the hand's force at each
-    sample; the rest as in :func:`~emps_design.comanipulation.measures.measure`. ``scratch`` has ROWS rows, ``free`` one
+    sample; the rest as in :func:`~emps_design.comanipulation.task.measure`. ``scratch`` has ROWS rows, ``free`` one
     for each sample from the release on and one more; ``tally`` two zeros: no event is recorded. A law whose voltage
     reaches the limit, or whose carriage leaves every bound, gets nan: lanes do not simulate what follows.
     """

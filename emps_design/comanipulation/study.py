@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.comanipulation.measures import Measures
 from emps_design.comanipulation.run import TaskRun, in_threads, run_many, run_task
-from emps_design.comanipulation.task import Task, fitted_task
+from emps_design.comanipulation.task import Measures, Task, fitted_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
+from emps_design.control.impedance.passivity import Clock, impedance_error, numbers, radius_of, sampled_loops
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
-from emps_design.control.impedance.sampled import Clock, impedance_error, numbers, radius_of, sampled_loops
 from emps_design.control.sampled import MARGINAL
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS

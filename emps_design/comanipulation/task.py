@@ -1,4 +1,15 @@
-"""The operator's task: guide the carriage with a compliant hand, or push it with a set force; then release it."""
+"""The operator's task, the measures of a simulated one, and the verdict that follows from them.
+
+The operator guides the carriage with a compliant hand, or pushes it with a set force, and releases it. The measures
+are computed sample by sample.
+
+The apparent impedance is that at the task's own frequencies. ``F``, ``V`` and ``A`` are sums over the guided samples
+in motion of the force, the mean velocity and the mean acceleration of a period, times ``exp(-j w t)``. Mass and
+damping minimise ``|F - M A - B V|^2`` summed over the frequencies of the task: ``F/V = B + j w M`` weighted by the
+spectrum of the velocity, exact also for a motion that does not begin and end at rest. A regression on the
+acceleration of single samples would fit the steps of an ordinary encoder instead of the mass: from one sample to the
+next they are many times as large as the acceleration of the movement, and the force does not follow them.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +22,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.robustness import break_away, corner_errors, stacked
-from emps_design.control.impedance.sampled import (
+from emps_design.control.impedance.passivity import (
     Clock,
     Environment,
     numbers,
@@ -20,8 +30,10 @@ from emps_design.control.impedance.sampled import (
     sampled_loop,
     sampled_loops,
 )
+from emps_design.control.impedance.robustness import VERDICTS, break_away, corner_errors, stacked
 from emps_design.control.sampled import MARGINAL
 from emps_design.errors import InputError
+from emps_design.simulation.kernels.compile import inlined, part
 from emps_design.units import TURN
 
 HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand
@@ -30,6 +42,19 @@ PACE = 2.0 * math.pi * RATES[0]  # rad/s
 HELD, CALMING, WATCHED = 5.0, 4.0, 1.0  # s, at least: in the hand, calming down, watched for a verdict
 DECAYS, CYCLES = 8.0, 3.0  # time constants of the slowest pole, periods of the slowest oscillation that is predicted
 LONGEST = 400_000  # samples after the release
+
+# The measures in the order of the array that holds them; the sums at two frequencies follow.
+NAMES = (
+    "peak_u", "clipped", "clipped_end", "flips", "peak_force", "force2", "impulse", "work", "path", "miss2", "held",
+    "end_min_v", "end_max_v", "end_turns", "end_min_u", "end_max_u", "end_speed", "release_v", "moving", "drift",
+    "ratio", "diverged",
+)  # fmt: skip
+(_PEAK_U, _CLIPPED, _CLIPPED_END, _FLIPS, _PEAK_FORCE, _FORCE2, _IMPULSE, _WORK, _PATH, _MISS2, _HELD,
+ _END_MIN_V, _END_MAX_V, _END_TURNS, _END_MIN_U, _END_MAX_U, _END_SPEED, _RELEASE_V, _MOVING, _DRIFT, _RATIO, _DIVERGED,
+ _SLOW) = range(len(NAMES) + 1)  # fmt: skip
+_FAST, MEASURES = _SLOW + 6, _SLOW + 12  # acceleration, velocity and force, real and imaginary part each
+_CHANGE = 0.01  # of the speed, from one span to the next, that counts as one
+_SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
 
 
 @dataclass(frozen=True)
@@ -251,3 +276,231 @@ def _samples(period: float, duration: float, free: float | None, watched: float 
     last = n // 10 if watched is None else max(1, round(watched / period))
     n = n if free is None else release + max(100, round(free / period))
     return n, release, n - min(last, n - release)
+
+
+@part
+def measure(q, v, u, force, wish, turns, limit, period, release, end, m):
+    """Fill ``m`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), the last one the final state.
+
+    ``u`` [V], ``force`` [N] of the operator, held over each period, and ``wish`` [m], the position that the hand aims
+    at, have n samples or one more; ``turns`` (release, 4) see :attr:`~emps_design.comanipulation.task.Task.turns`. The
+    carriage is released at sample ``release``; a verdict uses the samples from ``end`` on.
+    """
+    n = q.size - 1
+    last_clip, clipped_at = 0.0, 0
+    reset(n, release, m)
+    for k in range(n):
+        if abs(u[k]) >= limit:
+            clip = 1.0 if u[k] > 0.0 else -1.0
+            m[_CLIPPED] += 1.0
+            m[_CLIPPED_END] += 1.0 if k >= end else 0.0
+            m[_FLIPS] += 1.0 if clip * last_clip < 0.0 and k - clipped_at <= _SWING else 0.0
+            last_clip, clipped_at = clip, k
+        if k < release:
+            turn = (turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3])
+            measure_guided(q[k], q[k + 1], v[k], v[k + 1], u[k], force[k], wish[k], turn, period, m)
+        else:
+            measure_free(v[k + 1], u[k], k, n, release, m)
+        if k >= end:
+            measure_end(q[k], q[k + 1], v[k], v[k + 1], u[k], m)
+    finish(q[release:], v[release], n, release, end, period, m)
+
+
+@part
+def reset(n, release, m):
+    """Set the measures ``m`` of ``n`` samples to their initial values."""
+    for i in range(MEASURES):
+        m[i] = 0.0
+    m[_END_MIN_V], m[_END_MIN_U], m[_END_MAX_V], m[_END_MAX_U] = np.inf, np.inf, -np.inf, -np.inf
+    m[_HELD], m[_MOVING] = release, n - release
+
+
+@part
+def measure_guided(q, q1, v, v1, u, force, wish, turn, period, m):
+    """Measure one period before the release, from position and velocity at its beginning and its end.
+
+    ``turn`` are cosine and minus sine of the phase of the task's two frequencies, the slow one first.
+    """
+    moved, rate = q1 - q, 1.0 / period
+    m[_PEAK_U] = max(m[_PEAK_U], abs(u))
+    m[_PEAK_FORCE] = max(m[_PEAK_FORCE], abs(force))
+    m[_FORCE2] += force * force
+    m[_IMPULSE] += abs(force) * period
+    m[_WORK] += force * moved
+    m[_PATH] += abs(moved)
+    m[_MISS2] += (wish - q) ** 2
+    # In motion; means over the period for which the force is held.
+    moves = 1.0 if v * v1 > 0.0 else 0.0
+    a, w, f = moves * ((v1 - v) * rate), moves * (moved * rate), moves * force
+    slow_re, slow_im, fast_re, fast_im = turn
+    m[_SLOW] += a * slow_re
+    m[_SLOW + 1] += a * slow_im
+    m[_SLOW + 2] += w * slow_re
+    m[_SLOW + 3] += w * slow_im
+    m[_SLOW + 4] += f * slow_re
+    m[_SLOW + 5] += f * slow_im
+    m[_FAST] += a * fast_re
+    m[_FAST + 1] += a * fast_im
+    m[_FAST + 2] += w * fast_re
+    m[_FAST + 3] += w * fast_im
+    m[_FAST + 4] += f * fast_re
+    m[_FAST + 5] += f * fast_im
+
+
+@part
+def measure_free(v1, u, k, n, release, m):
+    """Measure period ``k`` of ``n``, after the release: peak voltage and the samples until the carriage first stops."""
+    m[_PEAK_U] = max(m[_PEAK_U], abs(u))
+    m[_MOVING] = k + 1.0 - release if v1 == 0.0 and m[_MOVING] == n - release else m[_MOVING]
+
+
+@part
+def measure_end(q, q1, v, v1, u, m):
+    """Measure one of the periods that a verdict uses."""
+    m[_END_MIN_V], m[_END_MAX_V] = min(m[_END_MIN_V], v1), max(m[_END_MAX_V], v1)
+    m[_END_MIN_U], m[_END_MAX_U] = min(m[_END_MIN_U], u), max(m[_END_MAX_U], u)
+    m[_END_TURNS] += 1.0 if v * v1 < 0.0 or (v != 0.0 and v1 == 0.0) else 0.0
+    m[_END_SPEED] += q1 - q
+
+
+@inlined
+def finish(free, release_v, n, release, end, period, m):
+    """Finish the measures: ``free`` (n + 1 - release,) [m] are the positions from the release on."""
+    m[_END_SPEED] /= period * max(n - end, 1)
+    m[_RELEASE_V] = release_v
+    m[_DRIFT], m[_RATIO] = _drift(free, int(m[_MOVING]), period)
+
+
+@part
+def _drift(free, moving, period):
+    """Return the limit of the free motion's speed [m/s] and the ratio of two changes of the speed.
+
+    The limit is Aitken's from the speeds over three equal spans, exact for one exponential decay; a negative one means
+    that dry friction stops the carriage in finite time. The first tenth is skipped: filters settle.
+    """
+    skip = moving // 10
+    span = (moving - skip) // 3
+    if span < 1:
+        return 0.0, np.nan
+    rate = 1.0 / (span * period)
+    v1 = (free[skip + span] - free[skip]) * rate
+    v2 = (free[skip + 2 * span] - free[skip + span]) * rate
+    v3 = (free[skip + 3 * span] - free[skip + 2 * span]) * rate
+    side = 1.0 if v1 >= 0.0 else -1.0
+    first, second = v2 - v1, v3 - v2
+    bend = second - first
+    # A change much smaller than the speed is rounding and no sign of growth.
+    ratio = second / first if first != 0.0 and abs(second) > _CHANGE * abs(v3) else 0.0
+    if abs(bend) > 1e-12 * (abs(v1) + abs(v3)):
+        return side * (v3 - second * second / bend), ratio
+    return side * v3, ratio
+
+
+@part
+def mark_unstable(limit, m):
+    """Fill the measures of a run that ended early: unstable, the voltage at its limit, the rest nan."""
+    for i in range(MEASURES):
+        m[i] = np.nan
+    m[_DIVERGED], m[_PEAK_U] = 1.0, limit
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Measures of m simulated plants; every attribute is an array (m,).
+
+    ``step`` [m/s] is one encoder step per period, ``threshold`` [m/s] see ``drift_threshold``; ``expected`` [m/s] is
+    the speed to which friction drives the free motion, in closed form; ``integrates``: the law is a cascade.
+    """
+
+    raw: np.ndarray
+    step: float
+    threshold: np.ndarray
+    expected: np.ndarray
+    integrates: np.ndarray
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        if name not in NAMES:
+            raise AttributeError(name)
+        return self.raw[:, NAMES.index(name)]
+
+    @property
+    def verdict(self) -> np.ndarray:
+        """Places in ``VERDICTS``.
+
+        Unstable: the run diverged, ended at the voltage limit after the release, swung from limit to limit ten times
+        or more, or its free motion grows. Limit cycle: in the watched samples the velocity still takes both signs, by
+        two encoder steps per period, or reaches zero ten times and takes both signs; with one sign alone it is
+        stick-slip creep. No motion: the carriage was at rest when released, and stayed there. Otherwise the limit of
+        the free motion's speed decides, except for a cascade, whose integral compensates dry friction.
+        """
+        low, high = -2.0 * self.step, 2.0 * self.step
+        peak, back = (pick(self.end_max_v, -self.end_min_v) for pick in (np.maximum, np.minimum))
+        with np.errstate(invalid="ignore"):
+            grows = (self.ratio > 1.0) & (np.abs(self.end_speed) > 100.0 * self.step) & ~self.turned
+            unstable = (self.diverged > 0) | (self.clipped_end > 0) | (self.flips >= 10)
+            cycle = ((self.end_min_v < low) & (self.end_max_v > high)) | (
+                (self.end_turns >= 10) & (peak > self.step) & (back > self.threshold)
+            )
+            unstable |= grows & ~cycle
+        drift = self.tends_to
+        creeping = ~self.at_rest & (drift > self.threshold) & ~self.wanders & ~self.integrates
+        outcomes = {
+            "unstable": unstable,
+            "limit_cycle": cycle,
+            "no_motion": self.at_rest & (self.release_v == 0.0),
+            "creeping": creeping,
+            "dead_band": (drift < -self.threshold) & ~self.integrates,
+        }
+        return np.select(list(outcomes.values()), [VERDICTS.index(name) for name in outcomes], 0)
+
+    @property
+    def at_rest(self) -> np.ndarray:
+        """Whether the carriage was at rest in the watched samples."""
+        return (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
+
+    @property
+    def turned(self) -> np.ndarray:
+        """Whether the motion reversed after the release, as on an axis that a constant force pulls down."""
+        with np.errstate(invalid="ignore"):
+            return (self.release_v * self.end_speed < 0.0) & ~self.at_rest
+
+    @property
+    def tends_to(self) -> np.ndarray:
+        """Speed [m/s] that free motion tends to, negative if friction ends it; the final one if the motion reversed."""
+        return np.where(self.turned, np.abs(self.end_speed), self.drift)
+
+    @property
+    def wanders(self) -> np.ndarray:
+        """Whether it keeps moving at up to two encoder steps per period, driven by the encoder and not by friction."""
+        slow = (np.abs(self.tends_to) <= 2.0 * self.step) & (self.expected <= self.threshold)
+        return ~self.at_rest & (self.tends_to > self.threshold) & slow & ~self.integrates
+
+    @property
+    def fit(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Apparent mass [kg], damping [N/(m/s)] and R^2 about zero, at the frequencies of the task and in motion."""
+        spectra = self.raw[:, _SLOW:].reshape(-1, 2, 3, 2)  # frequency; acceleration, velocity, force
+        a, v, f = np.moveaxis(spectra, 2, 0).reshape(3, -1, 4)
+
+        def product(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+            return np.sum(first * second, axis=1)
+
+        aa, av, vv, ff = product(a, a), product(a, v), product(v, v), product(f, f)
+        determinant = aa * vv - av**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mass = (vv * product(a, f) - av * product(v, f)) / determinant
+            damping = (aa * product(v, f) - av * product(a, f)) / determinant
+            r2 = 1.0 - np.sum((f - mass[:, None] * a - damping[:, None] * v) ** 2, axis=1) / ff
+        return mass, damping, r2
+
+    @property
+    def effort(self) -> dict[str, np.ndarray]:
+        """The operator's effort: rms, peak force [N], impulse [N s], work [J], N per (m/s), tracking error [m]."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return {
+                "rms_force": np.sqrt(self.force2 / self.held),
+                "peak_force": self.peak_force,
+                "impulse": self.impulse,
+                "work": self.work,
+                "force_per_speed": np.where(self.path > 0, self.impulse / self.path, np.nan),
+                "tracking_error": np.sqrt(self.miss2 / self.held),
+            }

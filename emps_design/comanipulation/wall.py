@@ -16,9 +16,8 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
-from emps_design.control.impedance.passivity import largest_wall
+from emps_design.control.impedance.passivity import Clock, Environment, largest_wall, relay_oscillations, sampled_loop
 from emps_design.control.impedance.robustness import break_away, corner_errors, stacked
-from emps_design.control.impedance.sampled import Clock, Environment, relay_oscillations, sampled_loop
 from emps_design.errors import InputError, SimulationError
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.plant import Plant

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.compensation.feedback import feedback_cures
 from emps_design.compensation.feedforward import (
     BASELINE,
     LEAD,
     FeedForward,
+    feedback_cures,
     names_of_effects,
     reversal_of,
     terms_of,

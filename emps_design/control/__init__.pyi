@@ -8,19 +8,28 @@ from .impedance.law import (
     equivalent_loop as equivalent_loop,
     impedance_law as impedance_law,
 )
-from .impedance.passivity import contact_map as contact_map, largest_wall as largest_wall, passivity as passivity
+from .impedance.passivity import (
+    Clock as Clock,
+    contact_map as contact_map,
+    largest_wall as largest_wall,
+    passivity as passivity,
+    recursion_poles as recursion_poles,
+    sampled_loop as sampled_loop,
+)
 from .impedance.robustness import (
     VERDICTS as VERDICTS,
     coulomb_factor_without_creep as coulomb_factor_without_creep,
     smallest_mass as smallest_mass,
     stability_map as stability_map,
 )
-from .impedance.sampled import Clock as Clock, recursion_poles as recursion_poles, sampled_loop as sampled_loop
 from .velocity.design import VelocityLoopDesign as VelocityLoopDesign, design_velocity_loop as design_velocity_loop
+from .velocity.limits import retune_velocity_loop as retune_velocity_loop
 from .velocity.load_range import (
     identified_mismatch as identified_mismatch,
     margins_under_mismatch as margins_under_mismatch,
     relative_mismatch as relative_mismatch,
 )
-from .velocity.retune import retune_velocity_loop as retune_velocity_loop
-from .velocity.sweeps import sweep_sampled_margins as sweep_sampled_margins, sweep_velocity_loop as sweep_velocity_loop
+from .velocity.specification import (
+    sweep_sampled_margins as sweep_sampled_margins,
+    sweep_velocity_loop as sweep_velocity_loop,
+)

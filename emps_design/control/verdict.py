@@ -302,7 +302,7 @@ def redesigned(design: VelocityLoopDesign, frequency: float) -> VelocityLoopDesi
     {'crossover': 40.0, 'phase_margin_deg': 50.0}
     """
     from emps_design.control.velocity.design import design_velocity_loop
-    from emps_design.control.velocity.retune import retune_velocity_loop
+    from emps_design.control.velocity.limits import retune_velocity_loop
 
     request: dict[str, Any] = {**design.requested, next(iter(design.requested)): frequency}
     request |= {"velocity": design.velocity, "structure": design.structure, "filters": design.filters}

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from emps_design.paper.derivations import derivation
-from emps_design.paper.derivations.step import NOT_AS_PRINTED, DerivationStep
+from emps_design.paper.derivations.model import NOT_AS_PRINTED, DerivationStep
 from emps_design.paper.written import latex
 
 HEAD = r"""\documentclass[10pt]{article}

@@ -1,7 +1,6 @@
 from .assemble import Report as Report, assemble_report as assemble_report
 from .diagnosis_sections import before_after_figure as before_after_figure
-from .frequency_response import response_figure as response_figure
-from .loop_figures import velocity_loop_figures as velocity_loop_figures
+from .loop_figures import response_figure as response_figure, velocity_loop_figures as velocity_loop_figures
 from .page import (
     Callout as Callout,
     Facts as Facts,

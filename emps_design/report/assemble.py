@@ -16,8 +16,7 @@ from emps_design.laws import NONE, get_law
 from emps_design.machines import load_axis, machine_names
 from emps_design.progress import Progress, no_progress
 from emps_design.report.design import DesignResults, design_page, design_results
-from emps_design.report.display import quantity
-from emps_design.report.page import Page, Section
+from emps_design.report.page import Page, Section, quantity
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
@@ -179,7 +178,7 @@ def assemble_report(
     notes += [f"Force loop: {taken}, not asked for."] if taken else []
     law: dict[str, Any] = {"structure": structure, "filters": filters}
     if retune:
-        from emps_design.control.velocity.retune import retune_velocity_loop
+        from emps_design.control.velocity.limits import retune_velocity_loop
 
         velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
     else:
@@ -187,7 +186,7 @@ def assemble_report(
     measured = None
     if response is not None:
         from emps_design.frequency_response.coupling import ResponseComparison
-        from emps_design.report.frequency_response import response_section
+        from emps_design.report.loop_figures import response_section
 
         measured = response_section(ResponseComparison(response, loaded))
     assessed = None

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.advice import Advice
 from emps_design.control.nested_loops import VELOCITY_LOOP, NestedLoop, where_in_words
-from emps_design.report.display import angle, delay, frequency, number, quantity, ratio, sentence_of, symbol
 from emps_design.report.page import (
     Callout,
     Facts,
@@ -20,7 +19,15 @@ from emps_design.report.page import (
     Table,
     Text,
     advice_callout,
+    angle,
+    delay,
+    frequency,
     inputs_table,
+    number,
+    quantity,
+    ratio,
+    sentence_of,
+    symbol,
     versions,
 )
 from emps_design.report.velocity import drive_section, force_section, gains_section, velocity_section

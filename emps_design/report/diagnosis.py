@@ -31,9 +31,25 @@ from emps_design.report.diagnosis_sections import (
     unexplained_section,
     views_section,
 )
-from emps_design.report.display import NOTHING, angle, delay, number, quantity, ratio, words
-from emps_design.report.frequency_response import response_section
-from emps_design.report.page import Callout, Facts, Page, Picture, Section, Table, Text, advice_callout, html
+from emps_design.report.loop_figures import response_section
+from emps_design.report.page import (
+    NOTHING,
+    Callout,
+    Facts,
+    Page,
+    Picture,
+    Section,
+    Table,
+    Text,
+    advice_callout,
+    angle,
+    delay,
+    html,
+    number,
+    quantity,
+    ratio,
+    words,
+)
 from emps_design.report.style import BLUE, look, plain_subplots, thin
 from emps_design.units import Units
 

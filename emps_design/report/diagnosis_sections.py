@@ -10,8 +10,24 @@ import numpy as np
 from emps_design.discrepancy.acceptance import explained
 from emps_design.discrepancy.residual_views import SPECTRAL
 from emps_design.quantities import inside, share_asked
-from emps_design.report.display import NOTHING, interval, probability, quantity, sentence_of, with_std, words
-from emps_design.report.page import Callout, Picture, Points, Section, Table, Text, html, inputs_table, versions
+from emps_design.report.page import (
+    NOTHING,
+    Callout,
+    Picture,
+    Points,
+    Section,
+    Table,
+    Text,
+    html,
+    inputs_table,
+    interval,
+    probability,
+    quantity,
+    sentence_of,
+    versions,
+    with_std,
+    words,
+)
 from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, plain_subplots, thin
 
 if TYPE_CHECKING:

@@ -11,8 +11,21 @@ import numpy as np
 
 from emps_design.control.sampled import MARGINAL
 from emps_design.report.diagrams import impedance_law_diagram
-from emps_design.report.display import NOTHING, frequency, number, quantity, sentence_of, symbol
-from emps_design.report.page import Callout, Html, Picture, Section, Table, Text, html
+from emps_design.report.page import (
+    NOTHING,
+    Callout,
+    Html,
+    Picture,
+    Section,
+    Table,
+    Text,
+    frequency,
+    html,
+    number,
+    quantity,
+    sentence_of,
+    symbol,
+)
 from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, look, subplots, thin
 
 if TYPE_CHECKING:
@@ -268,7 +281,7 @@ def _felt_table(document: Mapping[str, Any]) -> Table:
 
 def _impedance_picture(assessment: ImpedanceAssessment) -> Picture:
     from emps_design.control.impedance.law import LOW_FREQUENCY, equivalent_loop
-    from emps_design.control.impedance.sampled import impedance_response, numbers
+    from emps_design.control.impedance.passivity import impedance_response, numbers
     from emps_design.errors import SpecificationError
 
     law = assessment.law

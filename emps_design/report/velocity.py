@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.report.diagrams import velocity_and_force_loop_diagram
-from emps_design.report.display import NOTHING, angle, delay, frequency, number, quantity, ratio, symbol
 from emps_design.report.loop_figures import (
     bode_figure,
     broken_loops,
@@ -24,7 +23,23 @@ from emps_design.report.loop_figures import (
     step_figure,
     z_plane,
 )
-from emps_design.report.page import Callout, Html, Listing, Picture, Section, Table, Text
+from emps_design.report.page import (
+    NOTHING,
+    Callout,
+    Html,
+    Listing,
+    Picture,
+    Section,
+    Table,
+    Text,
+    angle,
+    delay,
+    frequency,
+    number,
+    quantity,
+    ratio,
+    symbol,
+)
 from emps_design.report.style import BLACK, BLUE, GREEN, RED, look, subplots
 
 if TYPE_CHECKING:

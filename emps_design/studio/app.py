@@ -171,9 +171,8 @@ class Session:
     """The views of one browser window and the state they share."""
 
     def __init__(self, axis: Axis, record: Record | None = None):
-        from emps_design.studio.compensation_view import CompensationView
         from emps_design.studio.data_view import DataView
-        from emps_design.studio.motion_view import MotionView
+        from emps_design.studio.motion_view import CompensationView, MotionView
         from emps_design.studio.simulation_view import SimulationView
 
         machines = {name: machine(name) for name in machine_names()}

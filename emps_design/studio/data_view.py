@@ -20,8 +20,7 @@ from emps_design.progress import of_part
 from emps_design.records import Record
 from emps_design.records.columns import factor_of, meanings, title_unit
 from emps_design.records.layout import KEYS, NAMED, Assignment, Column, ColumnMap
-from emps_design.report.display import quantity, sentence_of
-from emps_design.report.page import LEVELS, inline
+from emps_design.report.page import LEVELS, inline, quantity, sentence_of
 from emps_design.studio.panes import AxisFile, Job, blocks, html, judgement, message
 from emps_design.studio.state import FRICTIONS, State
 from emps_design.units import Units
@@ -134,7 +133,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
 def response_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Estimate the frequency response of ``record``; return it beside the model's, and the axis that fits it."""
     from emps_design.frequency_response import estimate_response
-    from emps_design.report.frequency_response import response_blocks
+    from emps_design.report.loop_figures import response_blocks
 
     estimate = estimate_response(record, axis, progress=of_part(progress, 0.0, 0.5))
     progress("fitting", 0.6)

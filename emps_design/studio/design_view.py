@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 from emps_design.errors import EmpsError
-from emps_design.report.display import angle, delay, number, quantity, ratio, sentence_of
-from emps_design.report.page import inline
+from emps_design.report.page import angle, delay, inline, number, quantity, ratio, sentence_of
 from emps_design.studio.controls import FilterRows, Knob
 from emps_design.studio.panes import AxisFile, html, message, numbers
 from emps_design.studio.plots import LoopPlots, PlanePlot, feasible, plane
@@ -140,8 +139,8 @@ def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, st
 
 def _impedance_cells(state: State) -> list[tuple[str, str]]:
     from emps_design.control.impedance.law import FrictionModel, impedance_law
+    from emps_design.control.impedance.passivity import Clock, extended_loop
     from emps_design.control.impedance.robustness import verdict
-    from emps_design.control.impedance.sampled import Clock, extended_loop
     from emps_design.laws.friction_model import left_out
 
     try:

@@ -14,8 +14,7 @@ import panel as pn
 
 from emps_design.laws.friction_model import left_out
 from emps_design.progress import Progress, no_progress, of_part
-from emps_design.report.display import quantity
-from emps_design.report.page import inline
+from emps_design.report.page import inline, quantity
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.panes import Job, html, judgement, message
@@ -147,7 +146,7 @@ def simulate(state: State, progress: Progress | None = None) -> Simulated:
     from emps_design.comanipulation.task import fitted_task
     from emps_design.comanipulation.wall import push_into_wall
     from emps_design.control.impedance.law import FrictionModel, impedance_law
-    from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
+    from emps_design.control.impedance.passivity import Clock, Environment, sampled_loop
 
     tell = progress or no_progress
     axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3

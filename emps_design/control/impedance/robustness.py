@@ -22,7 +22,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
-from emps_design.control.impedance.sampled import (
+from emps_design.control.impedance.passivity import (
     Clock,
     numbers,
     recursion_poles,

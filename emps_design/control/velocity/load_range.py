@@ -23,11 +23,9 @@ from emps_design.control.discretisation import SampledPlant, sample_axis
 from emps_design.control.margins import LOWEST, Margins
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import PLACES
-from emps_design.control.velocity.limits import GAIN_MARGIN, INTEGRAL
-from emps_design.control.velocity.retune import retuned_gains
+from emps_design.control.velocity.limits import GAIN_MARGIN, INTEGRAL, retuned_gains
 from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.specification import ROOM
-from emps_design.control.velocity.sweeps import sweep_sampled_margins
+from emps_design.control.velocity.specification import ROOM, sweep_sampled_margins
 from emps_design.errors import InputError
 
 COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that splits the mass by a spring

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from emps_design.paper.derivations.step import DerivationStep
+from emps_design.paper.derivations.model import DerivationStep
 
 __all__ = ["DerivationStep", "derivation"]
 

@@ -6,7 +6,7 @@ import sympy as sp
 
 from emps_design.laws.friction_model import FrictionModel
 from emps_design.paper import written as y
-from emps_design.paper.derivations.step import DerivationStep, compared
+from emps_design.paper.derivations.model import DerivationStep, compared
 from emps_design.paper.written import EQUATIONS, READ_AS, Equation, Sum, in_order
 
 RATIO = (y.M_h, y.M_a)

@@ -1,17 +1,35 @@
-"""(1) to (5) and (12) to (23): drive and carriage, the model linear in its parameters, and its least squares.
+"""A step of a derivation, and the steps of the paper's model.
 
 (1) to (5): drive and carriage from Newton's law, and the model linear in its parameters. (12) to (23): least squares
 for any number of samples and parameters, its statistics, and the observed force.
+
+A step has an equation, its assumptions, the claims that the program checked, and the printed equation.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import sympy as sp
 from sympy.physics import units
 
 from emps_design.paper import written as y
-from emps_design.paper.derivations.step import DerivationStep, compared
-from emps_design.paper.written import BREAK_AWAY, EQUATIONS, TABLE_TEXT, TABLES, UNIT_OF_K_T, Equation, Sum
+from emps_design.paper.written import (
+    BREAK_AWAY,
+    EQUATIONS,
+    READ_AS,
+    TABLE_TEXT,
+    TABLES,
+    UNIT_OF_K_T,
+    Equation,
+    Sum,
+    latex,
+    text,
+)
+
+AS_PRINTED, NOT_AS_PRINTED, FAILS = "as printed", "not as printed", "does not hold"
 
 J, m, T, T_s, f = sp.symbols("J m T T_s f", positive=True)
 qdd_m = sp.Symbol(r"\ddot{q}_m", real=True)
@@ -25,6 +43,96 @@ FULL_RANK = "n > p, and W_1 has full rank p, so that W_1^T W_1 has an inverse"
 WHITE = "W_1 is not random; the noise has zero mean and covariance sigma_rho^2 I_n (13)"
 rho = sp.MatrixSymbol(r"\rho", y.n, 1)
 X_true = sp.MatrixSymbol("X", y.p, 1)
+
+
+@dataclass(frozen=True)
+class DerivationStep:
+    """One step of a derivation.
+
+    ``number`` is the equation number of the paper ("" for a step between two of its equations), ``assumes`` what the
+    step rests on, and ``checks`` the claims that the program tried, each with whether it holds. Where the paper prints
+    the equation, ``printed`` holds it as printed, ``read_as`` its undefined symbols with those that they must
+    stand for, and ``difference`` is printed minus derived right-hand side, so read.
+    """
+
+    title: str
+    number: str
+    equation: Equation
+    text: str
+    assumes: tuple[str, ...] = ()
+    checks: tuple[tuple[str, bool], ...] = ()
+    printed: Equation | None = None
+    read_as: Mapping[sp.Symbol, sp.Symbol] = field(default_factory=dict)
+    difference: Any = None
+
+    @property
+    def place(self) -> str:
+        """Place in the paper: the equation number in brackets, else the title."""
+        return f"({self.number})" if self.number else self.title
+
+    @property
+    def holds(self) -> bool:
+        """Whether every claim of the step was found true."""
+        return all(true for _, true in self.checks)
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether the printed equation is the derived one, symbol by symbol; None where nothing was compared."""
+        return None if self.printed is None else self.difference == 0 and not self.read_as
+
+    @property
+    def verdict(self) -> str:
+        """The step in a few words, "" where there is nothing to compare."""
+        if not self.holds:
+            return FAILS
+        if self.printed is None:
+            return ""
+        if self.difference != 0:
+            return NOT_AS_PRINTED
+        read = " and ".join(f"{text(symbol)} is read as {text(meant)}" for symbol, meant in self.read_as.items())
+        return f"{AS_PRINTED} once {read}" if read else AS_PRINTED
+
+    def to_dict(self) -> dict[str, Any]:
+        """Words, and equations as LaTeX and as text."""
+
+        def both(written: Any) -> dict[str, str] | None:
+            return None if written is None else {"latex": latex(written), "text": text(written)}
+
+        return {
+            "place": self.place,
+            "title": self.title,
+            "number": self.number,
+            "equation": both(self.equation),
+            "text": self.text,
+            "assumes": list(self.assumes),
+            "checks": [{"claim": claim, "holds": true} for claim, true in self.checks],
+            "holds": self.holds,
+            "printed": both(self.printed),
+            "read_as": {text(symbol): text(meant) for symbol, meant in self.read_as.items()},
+            "difference": both(self.difference),
+            "agrees": self.agrees,
+            "verdict": self.verdict,
+        }
+
+
+def compared(
+    title: str,
+    number: str,
+    derived: Equation,
+    words: str,
+    assumes: tuple[str, ...] = (),
+    checks: tuple[tuple[str, bool], ...] = (),
+    put: Mapping[Any, Any] | None = None,
+) -> DerivationStep:
+    """Return the step with the printed equation of that number and left-hand side beside it.
+
+    ``put`` are expressions that earlier steps derived for symbols of the printed equation.
+    """
+    printed = next(equation for equation in EQUATIONS[number] if equation.lhs == derived.lhs)
+    there = printed.rhs.free_symbols
+    read_as = {symbol: meant for symbol, meant in READ_AS.get(number, {}).items() if symbol in there}
+    difference = sp.simplify(sp.expand(printed.rhs.subs(read_as).subs(put or {}) - derived.rhs))
+    return DerivationStep(title, number, derived, words, assumes, checks, printed, read_as, sp.factor(difference))
 
 
 def derive_model() -> tuple[DerivationStep, ...]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sympy as sp
 
 from emps_design.paper import written as y
-from emps_design.paper.derivations.step import DerivationStep, compared
+from emps_design.paper.derivations.model import DerivationStep, compared
 from emps_design.paper.written import Equation, Sum
 
 LINEAR = "Coulomb friction left out"

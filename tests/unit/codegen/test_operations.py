@@ -6,11 +6,11 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.codegen import export_controller
-from emps_design.codegen.operations import counted, operations_of
 from emps_design.codegen.program import ARRAY, INT, REAL
 from emps_design.codegen.reader import read_program
+from emps_design.codegen.targets import SETTINGS, drive_settings, gains_of
+from emps_design.codegen.vectors import counted, operations_of
 from emps_design.compensation import compensate
-from emps_design.laws.drives import SETTINGS, drive_settings, gains_of
 from emps_design.machines import machine
 from emps_design.simulation import trapezoid_laps
 

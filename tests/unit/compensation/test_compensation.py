@@ -9,8 +9,7 @@ import pytest
 from emps_design.cli import app
 from emps_design.codegen import export_controller
 from emps_design.compensation import FeedForward, compensate
-from emps_design.compensation.feedback import feedback_cures, largest_factor
-from emps_design.compensation.feedforward import BASELINE, motion_ahead, terms_of
+from emps_design.compensation.feedforward import BASELINE, feedback_cures, largest_factor, motion_ahead, terms_of
 from emps_design.compensation.study import Trial
 from emps_design.control.nested_loops import nested_loops
 from emps_design.control.sampled import axis_loop

@@ -11,8 +11,7 @@ from emps_design.control.discretisation import sample_axis
 from emps_design.control.linear_plant import linear_plant
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import IP, PI
-from emps_design.control.velocity.limits import faster_in_words, reach
-from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.limits import faster_in_words, reach, retune_velocity_loop
 from emps_design.control.velocity.sampled import LaggedVelocityLoop, left_out
 from emps_design.control.velocity.specification import carriage_in_words
 from emps_design.laws.library.cascade import Filter

@@ -11,8 +11,14 @@ from emps_design.control.discretisation import sample_axis
 from emps_design.control.margins import disk_margin
 from emps_design.control.velocity.design import command_in_a_step, design_velocity_loop
 from emps_design.control.velocity.gains import IP, PI
-from emps_design.control.velocity.limits import GAIN_MARGIN, limits, reach, suggest_filter
-from emps_design.control.velocity.retune import retune_velocity_loop, retuned_gains
+from emps_design.control.velocity.limits import (
+    GAIN_MARGIN,
+    limits,
+    reach,
+    retune_velocity_loop,
+    retuned_gains,
+    suggest_filter,
+)
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter

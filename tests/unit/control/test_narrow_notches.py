@@ -7,7 +7,7 @@ from emps_design.control.nested_loops import nested_loops
 from emps_design.control.sampled import axis_loop
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import PI
-from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.errors import SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine

@@ -12,7 +12,7 @@ from emps_design.cli.app import run
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.margins import Margins
 from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.control.velocity.specification import Pairs, nearest_that_works, proposal_in_words
 from emps_design.errors import SpecificationError
 from emps_design.machines import machine

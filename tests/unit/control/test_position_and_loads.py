@@ -13,8 +13,8 @@ from emps_design.control.sampled import axis_loop
 from emps_design.control.velocity.comparison import sampled_step
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import PI
+from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.control.velocity.load_range import LoadRange, loaded, margins_over_range
-from emps_design.control.velocity.retune import retune_velocity_loop
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine

@@ -6,7 +6,7 @@ import pytest
 
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import FrictionModel, impedance_law
-from emps_design.control.impedance.sampled import Clock, sampled_loop
+from emps_design.control.impedance.passivity import Clock, sampled_loop
 from emps_design.control.linear_plant import linear_plant
 from emps_design.control.sampled import axis_loop, close
 from emps_design.control.velocity.design import design_velocity_loop

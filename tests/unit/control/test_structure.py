@@ -13,7 +13,7 @@ from emps_design.control.discretisation import sample_axis
 from emps_design.control.velocity.comparison import continuous_step, structures_side_by_side
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.gains import IP, PI, PI_WITH_REFERENCE_FILTER, STRUCTURES, Structure
-from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.control.velocity.sampled import SampledVelocityLoop
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws import law_of

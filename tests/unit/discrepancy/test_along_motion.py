@@ -14,10 +14,9 @@ import pytest
 
 from emps_design.cli.app import run
 from emps_design.discrepancy import diagnose
-from emps_design.discrepancy.balance import Fitted
+from emps_design.discrepancy.balance import Fitted, logged_beside, moved
 from emps_design.effects import get_effect
 from emps_design.errors import RecordError, SimulationError
-from emps_design.identification.command_clock import logged_beside, moved
 from tests.unit.discrepancy.slow_twins import KINDS, WEIGHT, drawn, endless, joint, moved_by_hand, robot
 
 HOW_TO = Path(__file__).resolve().parents[3] / "docs" / "howto" / "slow_log.py"

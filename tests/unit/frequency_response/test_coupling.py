@@ -11,10 +11,10 @@ from emps_design.control.velocity.load_range import loaded
 from emps_design.errors import InputError
 from emps_design.frequency_response import FrequencyResponse, estimate_response
 from emps_design.frequency_response.coupling import MassChain, ResponseComparison, axis_response, fit_chain
+from emps_design.frequency_response.loop import suggest_filter_on_response
 from emps_design.frequency_response.response import has_wrong_sign
-from emps_design.frequency_response.retune import suggest_filter_on_response
 from emps_design.machines import machine
-from emps_design.report.frequency_response import response_blocks
+from emps_design.report.loop_figures import response_blocks
 from tests.studies import quick
 from tests.unit.frequency_response.cases import COUPLING, exact, experiment, two_mass
 

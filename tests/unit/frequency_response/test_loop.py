@@ -18,8 +18,8 @@ from emps_design.frequency_response import (
     worst_of,
     write_response,
 )
+from emps_design.frequency_response.loop import MARGINS, SIDES
 from emps_design.frequency_response.measured_plant import law_response
-from emps_design.frequency_response.retune import MARGINS, SIDES
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law
 from emps_design.machines import machine

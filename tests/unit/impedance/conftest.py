@@ -4,7 +4,7 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel
-from emps_design.control.impedance.sampled import Clock
+from emps_design.control.impedance.passivity import Clock
 from emps_design.machines import machine
 
 

@@ -10,8 +10,8 @@ from emps_design.comanipulation.study import mismatch_study
 from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task
 from emps_design.comanipulation.wall import push_into_wall, wall_limit
 from emps_design.control.impedance.law import FrictionModel, impedance_law
+from emps_design.control.impedance.passivity import Clock
 from emps_design.control.impedance.robustness import creep_speed, drift_threshold, verdict
-from emps_design.control.impedance.sampled import Clock
 from emps_design.machines import machine
 from emps_design.report.impedance import impedance_section
 

@@ -9,10 +9,20 @@ from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.task import Task
 from emps_design.control.impedance.law import DERIVED, PRINTED, FrictionModel, ImpedanceLaw, impedance_law
 from emps_design.control.impedance.passivity import (
+    Clock,
+    Environment,
     admittance_polynomials,
     contact_map,
+    impedance_error,
+    impedance_response,
     largest_wall,
+    numbers,
     passivity,
+    recursion_poles,
+    relay_oscillation,
+    sampled_loop,
+    sampled_loops,
+    spectral_radius,
 )
 from emps_design.control.impedance.robustness import (
     check_mismatch,
@@ -25,18 +35,6 @@ from emps_design.control.impedance.robustness import (
     stability_map,
     verdict,
     worst_radius,
-)
-from emps_design.control.impedance.sampled import (
-    Clock,
-    Environment,
-    impedance_error,
-    impedance_response,
-    numbers,
-    recursion_poles,
-    relay_oscillation,
-    sampled_loop,
-    sampled_loops,
-    spectral_radius,
 )
 from emps_design.control.sampled import transfer
 from emps_design.errors import InputError

@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from emps_design.comanipulation import measures as measure_source
+from emps_design.comanipulation import task as measure_source
 from emps_design.comanipulation.assessment import assess_impedance
-from emps_design.comanipulation.measures import MEASURES, NAMES, measure
 from emps_design.comanipulation.run import run_many, run_task
 from emps_design.comanipulation.scenario import CASCADE, NO_SENSOR, SENSOR, compare_sensors, run_comanipulation
 from emps_design.comanipulation.study import mismatch_study
-from emps_design.comanipulation.task import Task, guided_task, pushed_task
+from emps_design.comanipulation.task import MEASURES, NAMES, Task, guided_task, measure, pushed_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law, law_for
-from emps_design.control.impedance.passivity import largest_wall
+from emps_design.control.impedance.passivity import Clock, extended_loop, largest_wall, relay_oscillation, sampled_loop
 from emps_design.control.impedance.robustness import VERDICTS, break_away, creep_speed, verdict
-from emps_design.control.impedance.sampled import Clock, extended_loop, relay_oscillation, sampled_loop
 from emps_design.errors import AxisError, InputError, UnstableError
 from emps_design.machines import machine
 from emps_design.simulation.environment import Hand

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from emps_design.comanipulation.measures import NAMES
 from emps_design.comanipulation.run import BLOCK, Setup, run_many
-from emps_design.comanipulation.task import guided_task, pushed_task
+from emps_design.comanipulation.task import NAMES, guided_task, pushed_task
 from emps_design.control.impedance.law import impedance_law
 from emps_design.laws.friction_model import PARAMETERS
 from emps_design.machines import machine

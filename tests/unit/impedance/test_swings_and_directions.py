@@ -8,9 +8,8 @@ from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.study import mismatch_study
 from emps_design.comanipulation.task import fitted_task
 from emps_design.control.impedance.law import FrictionModel, impedance_law
-from emps_design.control.impedance.passivity import contact_map, largest_wall, passivity
+from emps_design.control.impedance.passivity import Clock, contact_map, largest_wall, passivity, sampled_loop
 from emps_design.control.impedance.robustness import creep_speed, sinking_force, smallest_mass, verdict
-from emps_design.control.impedance.sampled import Clock, sampled_loop
 from emps_design.machines import machine
 from tests.studies import quick
 

@@ -5,8 +5,7 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, impedance_law
-from emps_design.control.impedance.passivity import contact_map, largest_wall
-from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
+from emps_design.control.impedance.passivity import Clock, Environment, contact_map, largest_wall, sampled_loop
 from emps_design.machines import machine
 from tests.unit.unlike_axes import JOINT
 

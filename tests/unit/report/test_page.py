@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emps_design.report import Callout, Facts, Html, Listing, Page, Picture, Points, Section, Table, Text, style
-from emps_design.report.display import delay, frequency, number, quantity, ratio, with_std
+from emps_design.report.page import delay, frequency, number, quantity, ratio, with_std
 from emps_design.units import Units
 
 

@@ -9,14 +9,14 @@ import pytest
 from emps_design.axis import Axis
 from emps_design.control.force import design_force_loop
 from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.retune import retune_velocity_loop
+from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.machines import machine
 from emps_design.paper import find_errata
 from emps_design.report import Page, Section, Text
 from emps_design.report.assemble import assemble_report
 from emps_design.report.design import design_page, design_results
-from emps_design.report.display import quantity
 from emps_design.report.impedance import _errata_table, _interval
+from emps_design.report.page import quantity
 from emps_design.report.velocity import force_limit_figure
 from emps_design.simulation.synthetic import synthetic_record
 from tests.studies import quick

@@ -5,7 +5,7 @@ import pytest
 
 from emps_design.comanipulation.wall import push_into_wall
 from emps_design.control.impedance.law import FrictionModel, impedance_law
-from emps_design.control.impedance.sampled import Clock, Environment, sampled_loop
+from emps_design.control.impedance.passivity import Clock, Environment, sampled_loop
 from emps_design.errors import InputError
 from emps_design.machines import machine
 

@@ -33,10 +33,10 @@ from emps_design.simulation.scenarios import follow
 from emps_design.simulation.synthetic import synthetic_record, there_and_back
 from emps_design.studio import controls, files_view, panes
 from emps_design.studio.app import Session
-from emps_design.studio.compensation_view import DESIGN, OWN
 from emps_design.studio.data_view import CLOSEST_MODEL, LIMIT_MB, DataView, observe_work, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.files_view import figures_zip, report_html
+from emps_design.studio.motion_view import DESIGN, OWN
 from emps_design.studio.panes import Job
 from emps_design.studio.plots import KINDS, LoopPlots, PlanePlot, feasible, plane, reachable_frequencies
 from emps_design.studio.simulation_view import simulate

@@ -13,21 +13,19 @@ from panel.widgets import FileDownload
 
 from emps_design import discrepancy
 from emps_design.control.impedance.law import FrictionModel, impedance_law
+from emps_design.control.impedance.passivity import Clock, extended_loop
 from emps_design.control.impedance.robustness import verdict
-from emps_design.control.impedance.sampled import Clock, extended_loop
 from emps_design.errors import EmpsError
 from emps_design.machines import machine
 from emps_design.progress import no_progress
 from emps_design.report import Section
-from emps_design.report.display import sentence_of
-from emps_design.report.page import inline
+from emps_design.report.page import inline, sentence_of
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.studio import files_view
 from emps_design.studio.app import Session
-from emps_design.studio.compensation_view import CompensationView
 from emps_design.studio.data_view import NAMED_MODEL, diagnose_work
 from emps_design.studio.design_view import DesignView, laws_table, numbers_table
-from emps_design.studio.motion_view import move
+from emps_design.studio.motion_view import CompensationView, move
 from emps_design.studio.simulation_view import simulate
 from emps_design.studio.state import State
 from tests.unit.unlike_axes import JOINT
