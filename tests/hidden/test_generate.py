@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.hidden.drives import EFFECTS, FURTHER, TURNING, UNKNOWN, draw_drive
-from tests.hidden.generate import SMALL, Case, cases, main, make, refit, run
+from tests.hidden.generate import SKIP, SMALL, Case, biting_limit, cases, main, make, refit, run
 from tests.hidden.plant import NAMES, numbers
 from tests.hidden.programs import laps
 
@@ -31,6 +31,21 @@ def test_sets_that_go_on(which, effects, unknown):
     assert {len(case.effects) for case in drawn} == set(effects)
     assert all(sum(name in UNKNOWN for name in case.effects) == unknown for case in drawn)
     assert cases(which, 5, seed=3) == drawn[:5]
+
+
+def test_in_a_crowded_case_a_motor_is_at_its_limit_or_there_is_play():
+    drawn = cases("crowded", 24, seed=3)
+    assert {case.effects[0] for case in drawn} == {"actuator_saturation", "backlash"}
+    assert all(len(set(case.effects)) == len(case.effects) in (3, 4) for case in drawn)
+    assert not any({"backlash", "flexible_coupling"} <= set(case.effects) for case in drawn)
+
+
+def test_a_limit_bites_in_the_share_that_is_asked_for():
+    drive = draw_drive(np.random.default_rng(4))
+    q_ref = laps(np.random.default_rng(4), drive.travel, list(drive.speeds), drive.acceleration, 1, drive.period)
+    limit = biting_limit(drive, q_ref, {}, 0.1)
+    u = run(drive, q_ref, numbers(clip=limit))[1]
+    assert np.mean(np.abs(u[SKIP:]) >= limit) == pytest.approx(0.1, abs=0.01)
 
 
 @pytest.mark.study("generates six cases")
