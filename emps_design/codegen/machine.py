@@ -80,7 +80,7 @@ LONGEST = 4096  # samples of delay of the command
 ARRAYS = ("y", "gains", "memory", "reference", "push", "noise", "motor_rows", "signals", "floors", "scratch", "out",
           "events")  # fmt: skip
 STEPPER_TYPES = {**dict.fromkeys(ARRAYS, ARRAY), "arrays": f"({ARRAY},{WHOLES},{WHOLES},{ARRAY},{ARRAY})", "law": INT,
-         "slots": WHOLES, "found": WHOLES}  # fmt: skip
+         "slots": WHOLES, "tally": WHOLES}  # fmt: skip
 SAMPLED = {"run": {"reference", "push", "encoder", "position", "velocity", "u", "outside"}, "applied": {"u"}}
 HELPER = (
     f"static long long {EXPONENT}(real x)\n{{\n    int found;\n\n    (void)frexp(x, &found);\n    return found;\n}}"

@@ -67,7 +67,7 @@ typedef struct {
     real own_floors[sizeof FLOORS / sizeof *FLOORS];
     long long own_hooks[sizeof HOOKS / sizeof *HOOKS];
     long long own_starts[sizeof STARTS / sizeof *STARTS];
-    long long own_found[2];
+    long long own_tally[2];
     real own_y[{{ machine.numbers["y"] | length }}];
     real own_scratch[{{ machine.numbers["scratch"][0] }}];
     real own_out[5 * RING];
@@ -120,7 +120,7 @@ static void begin(run_state *m, real q0)
     m->out = m->own_out;
     m->reference = m->own_reference;
     m->push = m->own_push;
-    m->found = m->own_found;
+    m->tally = m->own_tally;
 {% for line in machine.opened.before %}{{ line }}
 {% endfor %}}
 

@@ -148,7 +148,7 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
             "friction_period",
             "impedance",
             "lanes",
-            "measures",
+            "task",
             "motion",
             "run",
         },

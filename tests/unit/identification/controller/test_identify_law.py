@@ -215,7 +215,7 @@ def test_it_says_how_far_apart_two_rates_are_that_fit_alike(capsys, tmp_path):
     rival = next(one for one in found["tried"] if "position loop every 1," in one["terms"])
     assert rival["apart"] == pytest.approx(3.0, abs=0.1)
     assert found["notes"][0].startswith("the nearest of them is 3 standard deviations of the noise apart")
-    assert "it takes 5.2: about 3 times as much" in found["notes"][0]
+    assert "to separate them takes 5.2: about 3 times as much" in found["notes"][0]
     for name in ("position.kp", "velocity.kp", "velocity.ti", "feedforward.velocity"):  # the deviations reach the rival
         distance = abs(at(found["equivalents"][0], name) - at(found["controller"], name))
         assert at(found["std"], name) >= 0.99 * distance, name
