@@ -78,9 +78,7 @@ def _reference(axis: Any, scenario: str, path: Path | None, stroke: float, speed
 
     period = axis.sampling.period
     if path is not None:
-        from emps_design.simulation.scenarios import read_reference
-
-        return read_reference(path, period, axis.units)[0]
+        return scenarios.read_reference(path, period, axis.units)[0]
     if scenario == "half-ramp":
         return scenarios.half_ramp_program(period, (speed, 0.5 * speed, 0.25 * speed))
     if scenario == "multi-sine":

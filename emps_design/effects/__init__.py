@@ -7,12 +7,7 @@ imported. It is a plain import: the file's code runs.
 
 from __future__ import annotations
 
-from emps_design.effects.effect import (
-    Effect as Effect,
-    Motion as Motion,
-    Parameter as Parameter,
-    kind_of as kind_of,
-)
+from emps_design.effects.effect import Effect as Effect, Motion as Motion, Parameter as Parameter, kind_of as kind_of
 from emps_design.effects.library import EFFECTS as EFFECTS
 from emps_design.registry import Registry
 

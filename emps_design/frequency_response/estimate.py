@@ -27,13 +27,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
-from emps_design.frequency_response.answers import (
-    Distortion,
-    Extra,
-    broadband_answer,
-    periodic_answer,
-    stepped_answer,
-)
+from emps_design.frequency_response.answers import Distortion, Extra, broadband_answer, periodic_answer, stepped_answer
 from emps_design.frequency_response.broadband import CLEAR, Answer
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.frequency_response.measured_plant import continuous_from_increments, without_aliases

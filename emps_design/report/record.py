@@ -8,7 +8,7 @@ Pictures of a motion in closed loop with its tracking error and command, and of 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,8 +31,6 @@ from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, YELLOW, look
 from emps_design.units import Units
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from matplotlib.figure import Figure
 
     from emps_design.axis import Axis

@@ -201,11 +201,7 @@ def velocity_section(velocity: VelocityLoopDesign) -> Section:
 
 def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> Section:
     """Return the section on the implementation of ``velocity``; ``mismatch`` is the relative error studied."""
-    from emps_design.control.velocity.design import (
-        difference_equation,
-        encoder_voltage_noise,
-        largest_velocity_step,
-    )
+    from emps_design.control.velocity.design import difference_equation, encoder_voltage_noise, largest_velocity_step
     from emps_design.control.velocity.load_range import margins_under_mismatch, relative_mismatch
 
     axis = velocity.axis

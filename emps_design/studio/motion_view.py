@@ -28,12 +28,11 @@ from emps_design.report.page import LEVELS, inline, quantity, sentence_of
 from emps_design.report.record import motion_figure, tracking_figure
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
-from emps_design.studio.files_view import BUTTON, designed, drive_zip, follows
+from emps_design.studio.files_view import BUTTON, designed, drive_zip, follows, velocity_design
 from emps_design.studio.panes import Job, html, judgement, message, numbers
 from emps_design.studio.state import FEEDFORWARDS, State
 
 if TYPE_CHECKING:
-    from emps_design.axis import Axis
     from emps_design.control.position import PositionLoopDesign
     from emps_design.simulation.scenarios import Followed
 
@@ -114,7 +113,6 @@ class MotionRuns:
 def design_loop(state: State) -> PositionLoopDesign:
     """Return the cascade of the design of ``state``: the position loop around it, at the rate of the axis."""
     from emps_design.control.position import PositionLoopDesign
-    from emps_design.studio.files_view import velocity_design
 
     design = velocity_design(state)
     every = (state.axis.controller.position or {}).get("every", 1)
@@ -157,7 +155,6 @@ def reference_of(
 def move(state: State, file: tuple[str, bytes] | None, record: Record | None, progress: Progress) -> MotionRuns:
     """Simulate the motion of ``state`` with the design, and with the axis's own controller if it follows positions."""
     from emps_design.simulation.scenarios import follow
-    from emps_design.studio.files_view import follows
 
     about, q_ref, f_ext = reference_of(state, file, record)
     loop = design_loop(state)

@@ -24,16 +24,7 @@ from pydantic import Field, model_validator
 
 from emps_design.errors import InputError
 from emps_design.laws.estimators import BACKWARD, WORDS, VelocityEstimator, coefficients as of_estimator, states, taps
-from emps_design.laws.law import (
-    Finite,
-    Group,
-    LawKind,
-    LawTable,
-    NonNegative,
-    Positive,
-    parameter,
-    velocity_in_words,
-)
+from emps_design.laws.law import Finite, Group, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
 
 # What stands where in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter, then those of a
 # velocity estimator that filters.
