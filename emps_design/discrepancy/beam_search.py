@@ -127,7 +127,7 @@ def begin_search(calibration: Calibration, progress: Progress, most: int, before
 
 
 def _refit_previous(baseline: Fit, before: Outcome) -> list[Fit]:
-    """The best model of a search ``before``, and its neighbours, fitted under the noise of ``baseline``.
+    """Admissible fits of the best model of a search ``before``, and its neighbours, under the noise of ``baseline``.
 
     Neighbours are the models on the path, each effect alone, and the best model with one effect exchanged.
     """
@@ -135,10 +135,11 @@ def _refit_previous(baseline: Fit, before: Outcome) -> list[Fit]:
     near = [
         fitted
         for key, fitted in before.tried.items()
-        if len(key) == first + 1 or key < names or (len(key) == len(names) == len(key & names) + 1)
+        if key != names and (len(key) == first + 1 or key < names or len(key) == len(names) == len(key & names) + 1)
     ]
     best = converged(fit(baseline.with_model(before.best.model)))
-    return [best, *filter(admissible, side_by_side(fit, [(baseline.with_model(fitted.model),) for fitted in near]))]
+    refits = side_by_side(fit, [(baseline.with_model(fitted.model),) for fitted in near])
+    return [fitted for fitted in (best, *refits) if admissible(fitted)]
 
 
 def finish_search(outcome: Outcome, progress: Progress, most: int = MOST_EFFECTS) -> Outcome:

@@ -90,14 +90,19 @@ class Law:
     ) -> np.ndarray:
         """Command (n,) for reference, position and sensed force (n,) each, from rest; computed in Python."""
         rows, memory = self.gains.tolist(), [0.0] * self.memory
-        sensed = [0.0] * q.size if f_ext is None else f_ext.tolist()
-        if self.error_alone:
-            reference, q = np.zeros(q.size), q - reference
-        samples = enumerate(zip(reference.tolist(), q.tolist(), sensed, strict=True))
+        inputs = [signal.tolist() for signal in self.inputs(reference, q, f_ext)]
+        samples = enumerate(zip(*inputs, strict=True))
         by_sample = np.ndim(self.gains) == 2
         return np.array(
             [self.kernel(k, r, x, f, limit, rows[k] if by_sample else rows, memory) for k, (r, x, f) in samples]
         )
+
+    def inputs(
+        self, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Reference, position and force (n,) that the kernel gets, of those of the axis; no force counts as 0."""
+        sensed = np.zeros(q.size) if f_ext is None else f_ext
+        return (np.zeros(q.size), q - reference, sensed) if self.error_alone else (reference, q, sensed)
 
     def reference(self, q_ref: np.ndarray, period: float) -> np.ndarray:
         """Reference of the law (n,) [m or m/s] for the positions ``q_ref`` (n,) [m]: those, or their rate."""

@@ -82,13 +82,10 @@ def commands_of(
     >>> np.array_equal(commands_of(law, t, 0.9 * t, 10.0), law.commands(t, 0.9 * t, 10.0))
     True
     """
-    sensed = np.zeros(q.size) if f_ext is None else np.asarray(f_ext, dtype=float)
-    if law.error_alone:
-        reference, q = np.zeros(q.size), q - reference
+    inputs = [np.ascontiguousarray(signal, dtype=float) for signal in law.inputs(reference, q, f_ext)]
     gains = np.ascontiguousarray(np.atleast_2d(np.asarray(law.gains, dtype=float)))
-    signals = (np.ascontiguousarray(reference, dtype=float), np.ascontiguousarray(q, dtype=float), sensed, float(limit))
     out = np.empty(q.size)
-    _along(address(law.kernel, "law"), *signals, gains, np.zeros(max(law.memory, 1)), out)
+    _along(address(law.kernel, "law"), *inputs, float(limit), gains, np.zeros(max(law.memory, 1)), out)
     return out
 
 
