@@ -35,7 +35,7 @@ from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError, RecordError
-from emps_design.identification.excitation import one_direction
+from emps_design.identification.excitation import backward_time, one_direction
 from emps_design.identification.model import LUMPED
 from emps_design.laws import get_law, law_of, recorded_gains, unit_of
 from emps_design.records import Record
@@ -463,7 +463,9 @@ def prepare(
             window = float(record.t[inside][0]), float(record.t[inside][-1])
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
     held: tuple[int, ...] = ()
-    direction = one_direction(searched)
+    # A motor that stutters forward has two signs of friction, however far it gets in one direction.
+    stutters = any(backward_time(record) > rules.BACKWARD for record in searched)
+    direction = 0 if stutters else one_direction(searched)
     if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
         library = tuple(filter(identifiable_at_one_speed, library))

@@ -7,6 +7,7 @@ SHORTEST = 2.0  # s
 STILL = 1e-4  # m, a reference that moves less is no motion
 AT_LIMIT = 0.999  # of the voltage limit, from which on a sample counts as limited
 SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be judged
+BACKWARD = 0.05  # of the moving time against the main direction, from which on Coulomb and constant force differ
 ONE_SPEED = 0.25  # of the mean speed: with less deviation neither mass nor friction can be identified
 FEWEST_TO_FIT = 500  # samples
 FEWEST_TO_SELECT = 200  # samples

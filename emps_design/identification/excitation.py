@@ -16,6 +16,7 @@ SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
 SMALLEST_STEPS = 200
 LARGEST_SATURATED_SHARE = 0.2
 SENSOR_NOISE = 0.01  # of the motor force: a smaller measured force may be sensor noise
+SURE_OF_MOTION = 4.0  # standard deviations of a central difference, beyond which a velocity has a sign
 WEAK_RELIABILITY = 0.5  # share of a column explained by the reference, below which its parameter is not determined
 
 
@@ -99,6 +100,25 @@ def one_direction(records: Sequence[Record]) -> int:
     """
     ways = {int(np.sign(record.q[-1] - record.q[0])) for record in records}
     return ways.pop() if len(ways) == 1 and all(map(goes_one_way, records)) else 0
+
+
+def backward_time(record: Record) -> float:
+    """Share of the moving time that ``record`` moves against its main direction, faster than its noise could show.
+
+    The noise of the position is read from its sixth difference, whose gain is sqrt(924) for white noise and next to
+    nothing for motion below a tenth of the sampling frequency.
+
+    >>> t = np.arange(0.0, 1.0, 1e-3)
+    >>> forth = Record(t=t, q_ref=t, q=t + 0.01 * np.sin(60.0 * t), u=t, period=1e-3)  # never slower than 0.4
+    >>> stutters = replace(forth, q=t + 0.02 * np.sin(60.0 * t))  # backward for 19 % of the time
+    >>> backward_time(forth), round(backward_time(stutters), 2)
+    (0.0, 0.19)
+    """
+    velocity = np.gradient(record.q, record.period)
+    noise = float(np.sqrt(np.mean(np.diff(record.q, 6) ** 2) / 924.0))
+    clear = SURE_OF_MOTION * noise / (np.sqrt(2.0) * record.period)
+    forward, backward = (float(np.mean(sign * velocity > clear)) for sign in (1.0, -1.0))
+    return min(forward, backward) / max(forward + backward, 1e-300)
 
 
 def reliability(W: np.ndarray, Z: np.ndarray, lags: tuple[int, ...] = (0,)) -> np.ndarray:

@@ -141,13 +141,15 @@ def test_a_motor_cogs_72_times_a_turn_and_as_much_with_its_table_on():
     # What current and speed tell of the mass, the file says.
     assert found.axis.mechanics.mass == pytest.approx(axis.mechanics.mass, rel=0.07)
 
-    on = prepare((record,), axis, (ripple,), None, (8.2, 16.0), None).start
-    model = on.model
-    for number, line in zip(ripple.several(), lines, strict=False):
+    prepared = prepare((record,), axis, (ripple,), None, (8.2, 16.0), None)
+    on, model = prepared.start, prepared.start.model
+    for number, line in zip(prepared.library, lines, strict=False):  # bounds and scales are those of this axis
         model = model.with_effect(number, number.values(line))
-    fitted = fit(on.with_model(model), part="used", steps=20)
-    noise = floor_of_residual(fitted.remaining_force(), record.period, LEFT).whitening
-    fitted = fit(Hypothesis(on.problem.with_whitening(noise), fitted.model), part="used", steps=20)
+    start = fitted = on.with_model(model)
+    for _ in range(2):  # noise is what the model leaves
+        noise = floor_of_residual(fitted.remaining_force(), record.period, LEFT).whitening
+        fitted = fit(Hypothesis(on.problem.with_whitening(noise), fitted.model), part="used", steps=20)
+    assert fitted.model.values[0][0, 0] != start.model.values[0][0, 0]
     assert tuple(fitted.model.baseline[:3]) == tuple(axis.mechanics.array()[:3])  # one speed does not tell them
     for index, finding in enumerate(found.findings[:4]):
         off = finding.parameters["amplitude"]

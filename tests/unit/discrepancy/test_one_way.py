@@ -1,5 +1,6 @@
 """Records that go one way: Coulomb friction and the constant force are one number, and none of the two is given."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from emps_design.discrepancy import explanation
 from emps_design.discrepancy.preparation import prepare
 from emps_design.effects.effect import OFFSET
+from emps_design.identification.excitation import goes_one_way
 from emps_design.identification.model import LUMPED
 from emps_design.report.diagnosis import axis_before
 from tests.unit.identification.test_short_records import MOTOR, run
@@ -21,6 +23,15 @@ def test_the_constant_force_is_free_where_both_ways_are_driven(records, directio
     assert found.direction == direction
     assert found.start.model.held == ((OFFSET,) if direction else ())
     assert (LUMPED in found.warnings) == bool(direction)
+
+
+def test_a_motor_that_stutters_forward_has_two_signs_of_friction():
+    """Cogging turns it back for a fifth of the time, though by no hundredth of the travel at once."""
+    t = FORTH.t
+    stutter = 0.02 * np.ptp(FORTH.q) / t[-1] * np.sin(60.0 * t)
+    assert goes_one_way(replace(FORTH, q=FORTH.q + stutter))
+    found = prepare((replace(FORTH, q=FORTH.q + stutter),), MOTOR, (), None, None, None)
+    assert (found.direction, found.start.model.held) == (0, ())
 
 
 @pytest.mark.parametrize("direction", [1, -1, 0])
