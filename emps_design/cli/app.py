@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.util
 import inspect
 import os
 import sys
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design import __version__
 from emps_design.cli import interrupts
+from emps_design.cli.command import TURNING, register_command
 from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import advice_on_error, begin, print_json, tell
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
@@ -56,7 +58,6 @@ GROUPS = {
 }
 COMMANDS = tuple(name for group in GROUPS.values() for name in group)
 BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
-TURNING = "Units are those of a linear axis. For one that turns read kg m^2 for kg, N m for N and rad for m."
 
 
 def run(arguments: list[str]) -> int:
@@ -173,6 +174,9 @@ def _application(arguments: list[str]) -> typer.Typer:
     app.callback()(root)
     wanted = arguments[0] if arguments else ""
     for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
+        if importlib.util.find_spec(f"emps_design.commands.{name}"):
+            register_command(app, name)
+            continue
         module = importlib.import_module(f"emps_design.cli.{name}")
         about_an_axis = "axis" in inspect.signature(module.command).parameters
         register = app.command(name, help=module.__doc__, epilog=TURNING if about_an_axis else None)

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.destinations import AXIS, JSON, check_folder, make_folder
 from emps_design.cli.options import AsJson, AxisArgument, Force, refuse_force, refuse_ignored
 from emps_design.cli.output import (
     add_advice,
@@ -19,6 +18,7 @@ from emps_design.cli.output import (
     say,
     say_advice,
 )
+from emps_design.commands.destinations import AXIS, JSON, check_folder, make_folder
 
 FILES = {"axis.toml": AXIS, "compensation.json": JSON}
 # The options that each scenario uses.

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from emps_design.cli.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder, make_folder
 from emps_design.cli.interrupts import PartialDiagnosis, on_interrupt
 from emps_design.cli.options import refuse_force
 from emps_design.cli.output import (
@@ -23,6 +22,7 @@ from emps_design.cli.output import (
     progress_bar,
     say_advice,
 )
+from emps_design.commands.destinations import AXIS, JSON, OVERWRITE, PAGE, TABLE, check_folder, make_folder
 from emps_design.errors import InputError, one_line
 from emps_design.files import write_aside, write_text, write_together
 from emps_design.quantities import rounded, share_asked

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from emps_design.cli.destinations import OVERWRITE, TABLE, check_out
 from emps_design.cli.options import HERTZ, refuse_force, refuse_ignored
+from emps_design.commands.destinations import OVERWRITE, TABLE, check_out
 
 if TYPE_CHECKING:
     from emps_design.frequency_response import Experiment

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
 from emps_design.cli.options import HERTZ, AsJson, AxisArgument, Force, refuse_ignored
 from emps_design.cli.output import load_axis, print_json, print_warnings, say
+from emps_design.commands.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
 
 MAX_BYTES = 1_000_000  # of a compensation
 KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # any other file is code

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 import typer
 
-from emps_design.cli.destinations import AXIS, check_out
 from emps_design.cli.options import (
     AsJson,
     AxisArgument,
@@ -36,6 +35,7 @@ from emps_design.cli.options import (
     write_axis,
 )
 from emps_design.cli.output import add_advice, load_axis, print_json, say_advice, tell
+from emps_design.commands.destinations import AXIS, check_out
 from emps_design.errors import InputError
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from emps_design.cli.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, check_named_out
 from emps_design.cli.options import HERTZ, refuse_force
+from emps_design.commands.destinations import MATLAB, OVERWRITE, PICTURES, TABLE, check_named_out
 
 if TYPE_CHECKING:
     from emps_design.frequency_response import ResponseEstimate

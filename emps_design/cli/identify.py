@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from emps_design.cli.destinations import AXIS, OVERWRITE, check_out
 from emps_design.cli.options import HERTZ, refuse_force, refuse_ignored
+from emps_design.commands.destinations import AXIS, OVERWRITE, check_out
 
 if TYPE_CHECKING:
     from emps_design.identification.result import Identification
@@ -78,7 +78,7 @@ def command(
     from emps_design.files import write_text
     from emps_design.identification import identify
     from emps_design.identification.excitation import goes_one_way
-    from emps_design.identification.result import Request
+    from emps_design.identification.result import IdentificationRequest
     from emps_design.importing import import_record
 
     _refuse_ignored(context, estimator, len(records))
@@ -88,7 +88,9 @@ def command(
     check_out(out, AXIS, (axis, *records, holdout), force)
     loaded = load_axis(axis)
     # Checks the options before the records are read.
-    options = vars(Request(model, estimator, filter, cutoff, external_force, None, bootstrap, seed, with_))
+    options = vars(
+        IdentificationRequest(model, estimator, filter, cutoff, external_force, None, bootstrap, seed, with_)
+    )
     read = [import_record(path, loaded) for path in records]
     together = len(read) > 1 and any(map(goes_one_way, read))
     if together:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PAGE, PICTURES, TABLE, check_named_out
+from emps_design.commands.destinations import ARCHIVE, OVERWRITE, PAGE, PICTURES, TABLE, check_named_out
 
 if TYPE_CHECKING:
     from emps_design.importing.account import Account

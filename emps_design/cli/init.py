@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from emps_design.cli.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder, make_folder
+from emps_design.commands.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder, make_folder
 
 # `puzzle.npz` has a ripple that `axis.toml` lacks: its force [N] on an axis like emps2019, its period [m or rad].
 AMPLITUDE, PERIOD = 2.0, {"linear": 0.0025, "rotary": 2.0 * math.pi / 500}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from emps_design.cli.destinations import CONTROLLER, OVERWRITE, check_out
+from emps_design.commands.destinations import CONTROLLER, OVERWRITE, check_out
 
 if TYPE_CHECKING:
     from emps_design.identification.controller import LawEstimate

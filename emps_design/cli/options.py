@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from emps_design.axis import Axis
-from emps_design.cli.destinations import OVERWRITE
 from emps_design.cli.output import check_option
+from emps_design.commands.destinations import OVERWRITE
 from emps_design.errors import InputError
 from emps_design.files import write_text
 from emps_design.laws.estimators import NUMBERS

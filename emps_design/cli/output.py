@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from emps_design.axis import Axis
+    from emps_design.view import View
 
 # The library writes an argument between backquotes, with or without a value: `chain='hold'`.
 FLAGS = {
@@ -68,6 +70,7 @@ FLAGS_OF = {
 
 _units = [Units()]  # those of the axis that the command is about
 _words: list[str] = []  # of the command line, from the name of the command on
+_flags: dict[str, str] = {}  # of the running command, by the names of its options
 _unchecked: list[tuple[str, float, str]] = []  # options with units that only the axis tells: name, number, unit
 
 LOOKING = "looking for the controller that made the record"  # the stage that law and init --from show
@@ -86,7 +89,7 @@ def in_flags(text: str, command: str = "") -> str:
     >>> in_flags("use `filter='hold'`", "report")
     'use --record-filter hold'
     """
-    flags = FLAGS | FLAGS_OF.get(command, {})
+    flags = FLAGS | _flags | FLAGS_OF.get(command, {})
 
     def flag(argument: re.Match[str]) -> str:
         name, _, value = argument[1].partition("=")
@@ -109,6 +112,7 @@ def load_axis(name_or_path: str | Path) -> Axis:
 def begin(words: Sequence[str]) -> None:
     """Start a command with these ``words`` of the command line: forget units and options of the one before."""
     _units[0], _words[:] = Units(), words
+    _flags.clear()
     _unchecked.clear()
 
 
@@ -117,6 +121,11 @@ def set_units(units: Units) -> None:
     _units[0] = units
     while _unchecked:
         units.check(*_unchecked.pop(0), positive=True)
+
+
+def set_flags(flags: dict[str, str]) -> None:
+    """Name options of the running command by these ``flags``."""
+    _flags.update(flags)
 
 
 def check_option(name: str, value: float, base: str) -> float:
@@ -216,6 +225,17 @@ def print_warnings(warnings: Iterable[str]) -> None:
     """Print each warning as one line on standard error."""
     for warning in warnings:
         tell(f"warning: {warning}")
+
+
+def print_view(view: View) -> None:
+    """Print ``view`` on standard output, with flags for the arguments that its lines name."""
+    from rich.console import Console
+
+    from emps_design.view import Line, show
+
+    console = Console(markup=False, emoji=False, highlight=False)
+    for part in view:
+        show(console, replace(part, text=in_command(part.text)) if isinstance(part, Line) else part)
 
 
 def new_console() -> Console:

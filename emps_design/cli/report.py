@@ -6,8 +6,8 @@ from pathlib import Path
 
 import typer
 
-from emps_design.cli.destinations import PAGE, check_named_out
 from emps_design.cli.options import RAD_S, AsJson, Bandwidth, Crossover, Force, PhaseMargin, refuse_ignored, within
+from emps_design.commands.destinations import PAGE, check_named_out
 
 
 def command(

@@ -8,8 +8,8 @@ from typing import Any
 
 import typer
 
-from emps_design.cli.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
 from emps_design.cli.options import refuse_force, refuse_ignored, within
+from emps_design.commands.destinations import ARCHIVE, OVERWRITE, PICTURES, TABLE, check_out
 
 # The options that each scenario uses, beside those common to all.
 SCENARIOS = {

@@ -37,7 +37,7 @@ from emps_design.identification.inverse_model import Filtered, chosen_cutoff, re
 from emps_design.identification.model import ONE_WAY, Model
 from emps_design.identification.problem import acting, filter_record
 from emps_design.identification.proposals import FEWEST_STROKES, POWERS, RESISTS, Strokes, proposed_terms, solved
-from emps_design.identification.result import BY_LEAST_SQUARES, NO_TERMS, Identification, Request
+from emps_design.identification.result import BY_LEAST_SQUARES, NO_TERMS, Identification, IdentificationRequest
 from emps_design.quantities import inside
 from emps_design.records import Record
 
@@ -236,7 +236,7 @@ class Balance:
 
     def fitted(self, terms: Sequence[str] = ()) -> Fitted:
         """The model with ``terms`` that leaves least; raises as :func:`~emps_design.identification.identify` does."""
-        request = Request(SYMMETRIC, BY_LEAST_SQUARES, cutoff=self.cutoff, with_=tuple(terms) or NO_TERMS)
+        request = IdentificationRequest(SYMMETRIC, BY_LEAST_SQUARES, cutoff=self.cutoff, with_=tuple(terms) or NO_TERMS)
         return Fitted.of(identify_by_least_squares(self.moved, self.axis, request), self._beside)
 
     @cached_property

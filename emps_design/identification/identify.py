@@ -49,8 +49,8 @@ from emps_design.identification.result import (
     BY_OUTPUT_ERROR,
     Estimate,
     Identification,
+    IdentificationRequest,
     More,
-    Request,
 )
 from emps_design.laws import NONE
 from emps_design.records import Record
@@ -61,7 +61,7 @@ WEIGHT = f"{GRAVITY}: on an axis that moves along a line a weight is the constan
 UNTESTED = "whether least squares is biased was not tested"
 
 
-def identify_by_least_squares(record: Record, axis: Axis, request: Request) -> Identification:
+def identify_by_least_squares(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
     """Identify ``axis`` from ``record`` by least squares; options and errors are those of :func:`.identify`."""
     axis = axis.supplied_by(record)
     friction = ONE_WAY if request.model == "symmetric" and goes_one_way(record) else request.model
@@ -169,7 +169,7 @@ def _compare_with_hold(
     return better, fit.value - better.solution()
 
 
-def _held_out(problem: Regression, fit: LeastSquares, request: Request) -> dict[str, Any] | None:
+def _held_out(problem: Regression, fit: LeastSquares, request: IdentificationRequest) -> dict[str, Any] | None:
     """Force error on held-out data: another record, or the last third; None where the rest alone has no solution."""
     if request.holdout is not None:
         other = problem.alike(force_free(request.holdout, problem.axis, request.external_force))
@@ -238,7 +238,7 @@ def identify(
     >>> round(mass.value, 0), mass.quantity.unit, identification.estimator
     (95.0, 'kg', 'least_squares')
     """
-    request = Request(model, estimator, filter, cutoff, **more)
+    request = IdentificationRequest(model, estimator, filter, cutoff, **more)
     if axis is None:
         from emps_design.machines import machine
 
@@ -250,7 +250,7 @@ def identify(
     return replace(identification, warnings=(*identification.warnings, weight)) if weight else identification
 
 
-def _identified(record: Record, axis: Axis, request: Request) -> Identification:
+def _identified(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
     """By the requested estimator; where the axis has no controller, with the one identified from the record."""
     estimate = BY[request.estimator]
     if not request.simulates or axis.controller.kind != NONE or not record.has_reference or len(record) > LONG:
@@ -267,7 +267,7 @@ def _identified(record: Record, axis: Axis, request: Request) -> Identification:
     )
 
 
-def _auto(record: Record, axis: Axis, request: Request) -> Identification:
+def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
     """Least squares, or instruments where it is biased, or output error; with other chains always least squares."""
     plain = identify_by_least_squares(record, axis, request)
     if request.filter != DEFAULT_CHAIN or axis.controller.kind == NONE or not record.has_reference:
@@ -308,19 +308,21 @@ def _auto(record: Record, axis: Axis, request: Request) -> Identification:
 
 
 # Imported in the functions: the simulation's modules would add a tenth to the memory of a long record's regression.
-def _by_instruments(record: Record, axis: Axis, request: Request) -> Identification:
+def _by_instruments(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
     from emps_design.identification.instruments import identify_with_instruments
 
     return _simulated(identify_with_instruments, record, axis, request)
 
 
-def _by_output_error(record: Record, axis: Axis, request: Request) -> Identification:
+def _by_output_error(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
     from emps_design.identification.output_error import identify_by_output_error
 
     return _simulated(identify_by_output_error, record, axis, request)
 
 
-def _simulated(estimate: Callable[..., Identification], record: Record, axis: Axis, request: Request) -> Identification:
+def _simulated(
+    estimate: Callable[..., Identification], record: Record, axis: Axis, request: IdentificationRequest
+) -> Identification:
     """By an estimator that simulates the record, with the requested terms or those that the record calls for."""
     if request.terms is not None:
         model = Model(request.model, request.terms)
@@ -330,7 +332,7 @@ def _simulated(estimate: Callable[..., Identification], record: Record, axis: Ax
     return replace(identification, proposed=proposed)
 
 
-BY: dict[str, Callable[[Record, Axis, Request], Identification]] = {
+BY: dict[str, Callable[[Record, Axis, IdentificationRequest], Identification]] = {
     AUTO: _auto,
     BY_LEAST_SQUARES: identify_by_least_squares,
     BY_INSTRUMENTS: _by_instruments,
@@ -338,7 +340,7 @@ BY: dict[str, Callable[[Record, Axis, Request], Identification]] = {
 }
 
 
-def _with_held_out_error(identification: Identification, request: Request) -> Identification:
+def _with_held_out_error(identification: Identification, request: IdentificationRequest) -> Identification:
     """``identification`` with its force error on the held-out record."""
     if request.holdout is None:
         return identification
@@ -347,7 +349,7 @@ def _with_held_out_error(identification: Identification, request: Request) -> Id
 
 
 def _output_error_for_hidden(
-    record: Record, axis: Axis, request: Request, hidden: list[str], instrumental: Identification
+    record: Record, axis: Axis, request: IdentificationRequest, hidden: list[str], instrumental: Identification
 ) -> Identification | None:
     """Output error where it determines the ``hidden`` parameters and agrees with instruments on the rest; else None."""
     if not hidden:

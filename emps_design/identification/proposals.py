@@ -30,7 +30,7 @@ from emps_design.identification.filters import motion
 from emps_design.identification.inverse_model import Filtered, chosen_cutoff, first_part, regression
 from emps_design.identification.model import Model, powered
 from emps_design.identification.problem import Regression, acting, filter_record, known_part
-from emps_design.identification.result import Request
+from emps_design.identification.result import IdentificationRequest
 from emps_design.identification.statistics import LongRun
 from emps_design.records import Record
 from emps_design.stretches import stretches
@@ -183,7 +183,7 @@ def _passes(state: np.ndarray, t: np.ndarray, time: float, apart: float) -> floa
     return float(np.mean([1 + np.sum(np.diff(visits) > apart) for visits in times]))
 
 
-def proposed_for(record: Record, axis: Axis, request: Request) -> tuple[str, ...]:
+def proposed_for(record: Record, axis: Axis, request: IdentificationRequest) -> tuple[str, ...]:
     """The terms that ``record`` calls for, at the cut-off of ``request`` or the one chosen from the record."""
     axis = known_part(axis.supplied_by(record), request.model)
     record = check_record(record, axis, request.external_force)

@@ -1,7 +1,7 @@
 """Options and result of an identification.
 
-:class:`Request` holds the options of :func:`.identify` and of the command; :class:`Identification` the parameters with
-their deviations, and the axis that they make.
+:class:`IdentificationRequest` holds the options of :func:`.identify` and of the command; :class:`Identification` the
+parameters with their deviations, and the axis that they make.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class More(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class Request:
+class IdentificationRequest:
     """The options of :func:`.identify`; raises :class:`InputError` for unknown or incompatible ones.
 
-    >>> Request(estimator="iv", bootstrap=100)  # doctest: +ELLIPSIS
+    >>> IdentificationRequest(estimator="iv", bootstrap=100)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
     emps_design.errors.InputError: `bootstrap`: goes with `estimator='ls'`, found 'iv', which filters as hold does ...
@@ -93,7 +93,8 @@ class Request:
     def terms(self) -> tuple[str, ...] | None:
         """The requested terms beside the friction model, in the order of :data:`TERMS`; None: the record decides.
 
-        >>> Request(with_="bent-viscous, gravity").terms, Request(with_="none").terms, Request().terms
+        >>> asked = ("bent-viscous, gravity", "none", "auto")
+        >>> tuple(IdentificationRequest(with_=terms).terms for terms in asked)
         (('gravity', 'bent-viscous'), (), None)
         """
         if self.with_ == AUTO:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import platform
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from html import escape
@@ -23,6 +23,7 @@ from emps_design.errors import printable
 from emps_design.quantities import display_unit
 from emps_design.report.style import labelled, svg
 from emps_design.units import Units
+from emps_design.view import Table
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -114,21 +115,6 @@ class Callout:
     def __post_init__(self) -> None:
         if self.level not in CALLOUTS:
             raise ValueError(f"callout level: found {self.level!r}, expected one of {', '.join(CALLOUTS)}")
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows under ``headers`` (units belong there), with a caption; cells that are numbers align right."""
-
-    headers: Sequence[str]
-    rows: Sequence[Sequence[Any]]
-    caption: str = ""
-    kind: str = field(default="table", init=False)
-
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.headers):
-                raise ValueError(f"table {self.caption!r}: a row has {len(row)} cells, expected {len(self.headers)}")
 
 
 @dataclass(frozen=True)

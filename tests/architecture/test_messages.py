@@ -2,17 +2,21 @@
 
 import ast
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 import typer
 
 from emps_design.cli.app import COMMANDS, _application
+from emps_design.cli.command import request_of
 from emps_design.cli.output import FLAGS, FLAGS_OF, in_flags
+from emps_design.request import options_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "emps_design"
-LIBRARY = [p for p in sorted(PACKAGE.rglob("*.py")) if p.relative_to(PACKAGE).parts[0] not in ("cli", "studio")]
+ABOVE = ("cli", "commands", "studio")  # the help of an option names flags
+LIBRARY = [p for p in sorted(PACKAGE.rglob("*.py")) if p.relative_to(PACKAGE).parts[0] not in ABOVE]
 FLAG = re.compile(r"(?<![\w-])--[a-z]")
 COMMAND = re.compile(r"emps-design [a-z]+( [^\"'<]*)?")  # a whole command, to be typed as it stands
 ARGUMENT = re.compile(r"`([^`]+)`")
@@ -27,6 +31,13 @@ def texts(source: str) -> list[str]:
     docstrings = {id(node.body[0].value) for node in documented}
     found = [node for node in nodes if isinstance(node, ast.Constant) and id(node) not in docstrings]
     return [node.value for node in found if isinstance(node.value, str)]
+
+
+def requests() -> dict[str, list[str]]:
+    """The names of the options of every command that has a request."""
+    modules = [path for path in sorted((PACKAGE / "commands").glob("*.py")) if path.stem in COMMANDS]
+    kinds = {path.stem: request_of(import_module(f"emps_design.commands.{path.stem}")) for path in modules}
+    return {name: [entry.name for entry in options_of(kind)] for name, kind in kinds.items()}
 
 
 def named(module: Path) -> str:
@@ -44,8 +55,10 @@ def test_the_library_names_no_flag(library_texts):
 
 
 def test_every_argument_that_a_message_names_has_its_flag(library_texts):
+    options = {name for request in requests().values() for name in request}
     arguments = [(module, name) for module, text in library_texts for name in ARGUMENT.findall(text)]
-    assert [(module, name) for module, name in arguments if in_flags(f"`{name}`") == f"`{name}`"] == []
+    unknown = [(module, name) for module, name in arguments if name.partition("=")[0] not in options]
+    assert [(module, name) for module, name in unknown if in_flags(f"`{name}`") == f"`{name}`"] == []
 
 
 def test_every_flag_of_the_table_is_one():

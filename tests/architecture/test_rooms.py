@@ -108,9 +108,9 @@ def test_gains_with_numbers_given_imports_nothing_heavy():
 
 def test_every_command_of_the_contract_has_its_file():
     for command in COMMANDS:
-        module = PACKAGE / "cli" / f"{command}.py"
+        module = PACKAGE / "commands" / f"{command}.py"
         assert ast.get_docstring(tree(module)), command
-        assert "command" in [node.name for node in tree(module).body if isinstance(node, ast.FunctionDef)], command
+        assert "answer" in [node.name for node in tree(module).body if isinstance(node, ast.FunctionDef)], command
 
 
 def test_every_slow_test_and_every_study_says_why():

@@ -73,7 +73,7 @@ def test_every_option_that_asks_for_a_frequency(line, key, tmp_path, capsys, mon
         found.append(document)
     assert found[0] == found[1]
     assert run([*words[:-1], "10Hx"]) == 2
-    assert f"'{key}': frequency: found '10Hx', expected a number of" in capsys.readouterr().err
+    assert f"{key}: frequency: found '10Hx', expected a number of" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", COMMANDS)

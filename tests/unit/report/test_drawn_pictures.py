@@ -3,7 +3,7 @@
 import pytest
 
 from emps_design.cli import app
-from emps_design.cli.destinations import PICTURES
+from emps_design.commands.destinations import PICTURES
 from emps_design.machines import machine
 from emps_design.report.style import UNDATED
 from emps_design.simulation.synthetic import synthetic_record

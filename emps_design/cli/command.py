@@ -1,0 +1,134 @@
+"""From a request to a Typer command and back: options from its fields, a request from the words, the answer printed."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Mapping
+from dataclasses import MISSING, Field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from emps_design.cli import output
+from emps_design.commands import Reply
+from emps_design.commands.destinations import OVERWRITE, check_named_out, check_out
+from emps_design.errors import InputError
+from emps_design.request import OPTION, Option, Request, flags_of, make_request, options_of, types_of
+
+if TYPE_CHECKING:
+    import typer
+
+TURNING = "Units are those of a linear axis. For one that turns read kg m^2 for kg, N m for N and rad for m."
+# Options that every command has, and those of a command that writes a file.
+COMMON = {
+    "as_json": ("--json", "one JSON document on standard output"),
+    "debug": ("--debug", "the traceback of an error"),
+}
+
+
+def register_command(app: typer.Typer, name: str) -> None:
+    """Add the command ``name`` to ``app``: its module has one request, and ``answer``."""
+    import typer
+
+    module = importlib.import_module(f"emps_design.commands.{name}")
+    kind = request_of(module)
+    hints = types_of(kind)
+    parameters = [_parameter(entry, hints[entry.name]) for entry in options_of(kind)]
+    writes = any(entry.metadata[OPTION].writes for entry in options_of(kind))
+    flags = {"force": ("--force", OVERWRITE)} if writes else {}
+    parameters += [
+        inspect.Parameter(
+            key,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=False,
+            annotation=Annotated[bool, typer.Option(flag, help=words)],
+        )
+        for key, (flag, words) in (flags | COMMON).items()
+    ]
+
+    def command(context: typer.Context, **values: Any) -> int:
+        return _perform(context, name, module, values)
+
+    described: Any = command
+    first = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
+    described.__signature__ = inspect.Signature([first, *parameters])
+    described.__annotations__ = {parameter.name: parameter.annotation for parameter in (first, *parameters)}
+    epilog = TURNING if "axis" in hints else None
+    app.command(name, help=module.__doc__, epilog=epilog)(command)
+
+
+def request_of(module: Any) -> type[Request]:
+    """The request that the ``answer`` of a command's ``module`` takes."""
+    annotation = inspect.signature(module.answer).parameters["request"].annotation
+    kind = getattr(module, annotation) if isinstance(annotation, str) else annotation
+    assert issubclass(kind, Request)
+    return kind
+
+
+def _parameter(entry: Field[Any], hint: Any) -> inspect.Parameter:
+    """The parameter of a Typer command for a field of a request."""
+    import typer
+
+    about: Option = entry.metadata[OPTION]
+    least, most = about.limits
+    metavar = about.metavar or ("|".join(filter(None, about.choices)) or None)
+    look: dict[str, Any] = {"help": about.help, "metavar": metavar, "min": least, "max": most}
+    info = typer.Argument(**look) if about.argument else typer.Option(*flags_of(entry), **look)
+    default = inspect.Parameter.empty if entry.default is MISSING else entry.default
+    default = None if default == () else default  # of an option that may be given several times
+    return inspect.Parameter(
+        entry.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[hint, info]
+    )
+
+
+def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str, Any]) -> int:
+    """Make the request from the ``values`` of the command line, answer it and print the answer; its exit status."""
+    kind = request_of(module)
+    flags = {entry.name: flags_of(entry)[0] for entry in options_of(kind)}
+    output.set_flags(flags)
+    given = [key for key in flags if _from_words(context, key)]
+    own = {key: value for key, value in values.items() if key in flags and value is not None}
+    _check_outputs(kind, own, bool(values.get("force")))
+    as_json = values["as_json"]
+    with output.progress_bar(not as_json or sys.stderr.isatty()) as progress:
+        answer: Reply = module.answer(make_request(kind, own, given, progress=progress))
+    document, axis = answer.document, own.get("axis")
+    output.set_units(answer.units)
+    if answer.advised:
+        records = own.get("records", own.get("record", ()))
+        document = output.add_advice(document, axis, [records] if isinstance(records, str | Path) else records)
+    if as_json:
+        output.print_json(document)
+    else:
+        output.print_view(answer.view)
+    output.print_warnings(answer.warnings)
+    if answer.reason:
+        output.tell(answer.reason)
+    if not as_json and answer.advised:
+        output.say_advice(document)
+    return answer.status
+
+
+def _from_words(context: typer.Context, key: str) -> bool:
+    return getattr(context.get_parameter_source(key), "name", "") == "COMMANDLINE"
+
+
+def _check_outputs(kind: type[Request], values: Mapping[str, Any], force: bool) -> None:
+    """Refuse files that must not be overwritten, before any work, and ``--force`` where no file is written."""
+    outputs = [entry for entry in options_of(kind) if entry.metadata[OPTION].writes]
+    inputs = [path for entry in options_of(kind) if entry not in outputs for path in _paths(values.get(entry.name))]
+    for entry in outputs:
+        about, path, flag = entry.metadata[OPTION], values.get(entry.name), flags_of(entry)[0]
+        if isinstance(about.writes, str):
+            check_out(path, about.writes, inputs, force, flag)
+        else:
+            check_named_out(path, about.writes, inputs, force, flag)
+    if force and not any(values.get(entry.name) for entry in outputs):
+        raise InputError("--force: goes with a file to write; there is none to overwrite")
+
+
+def _paths(value: Any) -> list[str | Path]:
+    """The names of files in the value of an option."""
+    values = value if isinstance(value, list | tuple) else [value]
+    return [entry for entry in values if isinstance(entry, str | Path)]

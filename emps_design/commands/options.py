@@ -1,0 +1,268 @@
+"""Options that several commands share, declared once.
+
+A frequency may be written as 30Hz or 370rad/s, a ratio as 6dB; a bare number is in the option's own unit. The design
+commands share the specification of the velocity loop, numbers that replace those of the axis, structure and filters,
+the position loop around it, and the range of loads that the gains have to hold for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from emps_design.axis import Axis
+from emps_design.commands.destinations import AXIS
+from emps_design.errors import InputError
+from emps_design.files import write_text
+from emps_design.laws.estimators import NUMBERS
+from emps_design.quantities import read_frequency, read_ratio
+from emps_design.request import Request, option
+
+if TYPE_CHECKING:
+    from emps_design.control.position import PositionLoopDesign
+    from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.velocity.gains import Structure
+    from emps_design.control.velocity.load_range import LoadRange
+
+# Declarations of an option that is a frequency or a ratio: option(None, "... [rad/s, or such as 30Hz]", **RAD_S).
+RAD_S: dict[str, Any] = {"parse": partial(read_frequency, unit="rad/s"), "metavar": "FREQUENCY", "typed": str | None}
+HERTZ: dict[str, Any] = {"parse": partial(read_frequency, unit="Hz"), "metavar": "FREQUENCY", "typed": str | None}
+RATIO: dict[str, Any] = {"parse": read_ratio, "metavar": "RATIO", "typed": str | None}
+
+
+def read_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:
+    """The axis of that name or file."""
+    from emps_design.machines import load_axis
+
+    return load_axis(name_or_path)
+
+
+def read_record(path: str | Path, axis: Axis) -> Any:
+    """The record at ``path``, read as ``axis`` says."""
+    from emps_design.importing import import_record
+
+    return import_record(Path(path), axis)
+
+
+def axis_argument(default: Any, help: str = "TOML file or embedded machine") -> Any:
+    """The axis as the argument of a command."""
+    return option(default, help, argument=True, typed=str, read=read_axis)
+
+
+def axis_option(help: str, default: str = "emps2019") -> Any:
+    """The axis as an option of a command that takes records."""
+    return option(default, help, typed=str, read=read_axis)
+
+
+def _ends(text: str) -> tuple[float, float]:
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError as error:
+        raise InputError(f"found {text!r}, expected LOW:HIGH, two numbers") from error
+    return low, high
+
+
+RANGE: dict[str, Any] = {"parse": _ends, "metavar": "LOW:HIGH", "typed": str | None}
+NOTCH = {"damping": 0.5, "depth": 0.1}  # defaults of a notch with a frequency alone
+EXPECTED = "lowpass:350Hz, notch:48Hz, notch:48Hz:DAMPING:DEPTH or none"
+NO_FILTER = "none"
+
+
+def filter_from_text(text: str) -> Any:
+    """A filter of the velocity loop from its text on the command line; "none" stays.
+
+    >>> filter_from_text("notch:48Hz:0.6:0.2").depth, filter_from_text("none")
+    (0.2, 'none')
+    """
+    from pydantic import ValidationError
+
+    from emps_design.laws.library.cascade import Filter
+
+    if text == NO_FILTER:
+        return text
+    kind, *numbers = text.split(":")
+    if kind not in ("lowpass", "notch") or not numbers or len(numbers) not in ((1,) if kind == "lowpass" else (1, 3)):
+        raise InputError(f"found {text!r}, expected {EXPECTED}")
+    frequency, *shape = numbers
+    try:
+        more = dict(zip(NOTCH, map(float, shape), strict=True)) if shape else NOTCH if kind == "notch" else {}
+        return Filter(kind=kind, frequency=read_frequency(frequency, "Hz"), **more)
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        name = ".".join(map(str, problem["loc"]))
+        raise InputError(f"{text}: {name}: found {problem['input']}, {problem['msg'].lower()}") from error
+    except ValueError as error:
+        raise InputError(f"found {text!r}, expected {EXPECTED}") from error
+
+
+def estimator_from_text(text: str) -> Any:
+    """A velocity estimator as in an axis file from a name or ``kind:number``; the axis checks it.
+
+    >>> estimator_from_text("slope:4"), estimator_from_text("two_tap"), estimator_from_text("filtered:300")
+    ({'kind': 'slope', 'points': 4}, 'two_tap', {'kind': 'filtered', 'frequency': 300.0})
+    """
+    kind, colon, number = text.partition(":")
+    if not colon or kind not in NUMBERS:
+        return text
+    try:
+        return {"kind": kind, NUMBERS[kind]: int(number) if kind == "slope" else float(number)}
+    except ValueError as error:
+        what = "whole number" if kind == "slope" else "number"
+        raise InputError(f"found {text!r}, expected a {what} after {kind}:") from error
+
+
+def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:
+    """Return ``axis`` with the numbers of the command line (those not None), checked like those of a file.
+
+    ``force_gain`` replaces the product of current gain, reduction and torque constant.
+
+    >>> from emps_design.machines import machine
+    >>> with_numbers(machine("emps2018"), mechanics={"mass": 90.0, "viscous": None}).mechanics.viscous
+    474.9727
+    """
+    document = axis.to_dict()
+    for name, table in tables.items():
+        replacements = {key: value for key, value in table.items() if value is not None}
+        if "force_gain" in replacements:
+            for key in ("current_gain", "reduction", "torque_constant"):
+                document["drive"].pop(key, None)
+        document[name] = {**document.get(name, {}), **replacements}
+    return Axis.from_dict(document, axis.name)
+
+
+def write_axis(path: Path, axis: Axis) -> str:
+    """Write ``axis`` as TOML to ``path``, whole or not at all, and return the path as text."""
+    write_text(path, axis.to_toml())
+    return str(path)
+
+
+@dataclass(frozen=True)
+class LoadRangeRequest(Request):
+    """The range of loads that gains have to hold for."""
+
+    inertia_range: tuple[float, float] | None = option(None, "factors of the inertia to hold over", **RANGE)
+    compliance_range: tuple[float, float] | None = option(
+        None, "factors of the compliance of a coupling to hold over", **RANGE
+    )
+    delay_range: tuple[float, float] | None = option(None, "delay on top to hold over [s]", **RANGE)
+
+    @property
+    def load_range(self) -> LoadRange | None:
+        """The range, or None."""
+        from emps_design.control.velocity.load_range import LoadRange
+
+        ends = {"inertia": self.inertia_range, "compliance": self.compliance_range, "delay": self.delay_range}
+        ranges = {name: span for name, span in ends.items() if span is not None}
+        return LoadRange(**ranges) if ranges else None
+
+
+@dataclass(frozen=True)
+class VelocityLoopRequest(Request):
+    """The specification of a velocity loop, and numbers instead of those of its axis."""
+
+    axis: Axis = axis_argument("emps2018")
+    crossover: float | None = option(None, "crossover w_v of T_vo [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
+    bandwidth: float | None = option(None, "closed-loop -3 dB of T_vc [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
+    phase_margin: float = option(60.0, "phase margin phi_v [deg]", unit="deg")
+    structure: str | None = option(None, "ip or pi: proportional to the measured velocity or to the error [the axis's]")
+    reference_filter: bool = option(False, "with pi: 1/(1 + t_v s) before the loop")
+    filters: tuple[Any, ...] = option(
+        (),
+        f"instead of the axis's, again for more: {EXPECTED}",
+        flags=("--filter",),
+        metavar="FILTER",
+        typed=list[str],
+        parse=filter_from_text,
+    )
+    out: Path | None = option(None, "write the axis file that runs this design, where it is stable", writes=AXIS)
+    velocity: float = option(0.1, "where the effects of the axis are linearised [m/s]", unit="m/s")
+    mass: float | None = option(None, "instead of the axis's [kg]")
+    viscous: float | None = option(None, "instead of the axis's [N/(m/s)]")
+    force_gain: float | None = option(None, "instead of the axis's [N/V]")
+    current_time_constant: float | None = option(None, "instead of the axis's [s]")
+    period: float | None = option(None, "instead of the axis's [s]")
+    computation_delay: int | None = option(None, "instead of the axis's [samples]")
+    velocity_estimator: Any = option(
+        None,
+        "two_tap, backward, slope:POINTS, filtered:HZ or tracking:RAD/S",
+        typed=str | None,
+        parse=estimator_from_text,
+    )
+
+    @property
+    def more_numbers(self) -> dict[str, dict[str, Any]]:
+        """Numbers of the axis beside those that all such requests have, by table of the axis file."""
+        return {}
+
+    @cached_property
+    def machine(self) -> Axis:
+        """The axis with the numbers of the request."""
+        tables = {
+            "mechanics": {"mass": self.mass, "viscous": self.viscous},
+            "drive": {"force_gain": self.force_gain, "current_time_constant": self.current_time_constant},
+            "sampling": {"period": self.period, "computation_delay": self.computation_delay},
+            "controller": {"velocity_estimator": self.velocity_estimator},
+        }
+        return with_numbers(
+            self.axis, **{name: table | self.more_numbers.get(name, {}) for name, table in tables.items()}
+        )
+
+    @property
+    def wanted_structure(self) -> Structure:
+        """The structure of the request, or that of the controller of the axis."""
+        from emps_design.control.velocity.gains import Structure, own_structure
+
+        structure = own_structure(self.machine, None if self.structure is None else Structure(self.structure))
+        if structure.form == "ip":
+            self.refuse(["reference_filter"], "goes with `structure='pi'`; ip has no zero to take away")
+        return replace(structure, reference_filter=self.reference_filter)
+
+    @property
+    def wanted_filters(self) -> tuple[Any, ...] | None:
+        """The filters of the request in their order, None for those of the axis."""
+        if not self.filters:
+            return None
+        return () if self.filters == (NO_FILTER,) else self.filters
+
+
+@dataclass(frozen=True)
+class PositionLoopRequest(Request):
+    """A position loop around a velocity loop."""
+
+    position_overshoot: float | None = option(None, "a position loop around it: kp for this overshoot of a step [%]")
+    position_bandwidth: float | None = option(
+        None, "or for this closed-loop -3 dB [rad/s, or such as 10Hz]", unit="rad/s", **RAD_S
+    )
+    position_stiffness: float | None = option(None, "or for this step of force over displacement [N/m]", unit="N/m")
+    position_kp: float | None = option(None, "or this kp itself [1/s]", unit="1/s")
+    position_every: int | None = option(
+        None, "the position loop runs in every n-th sample [the axis's, or 1]", limits=(1, 1000)
+    )
+
+    @property
+    def _wanted(self) -> dict[str, float]:
+        names = ("overshoot", "bandwidth", "stiffness", "kp")
+        values = {name: getattr(self, f"position_{name}") for name in names}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def check_position_loop(self) -> None:
+        """Raise :class:`InputError` where the position loop is not specified once, or ``position_every`` is alone."""
+        if not self._wanted:
+            one_of = "`position_overshoot`, `position_bandwidth`, `position_stiffness` or `position_kp`"
+            self.refuse(["position_every"], f"goes with {one_of}")
+
+    def position_loop(self, design: VelocityLoopDesign) -> PositionLoopDesign | None:
+        """The position loop around ``design``, or None."""
+        wanted = self._wanted
+        if not wanted:
+            return None
+        if len(wanted) > 1:
+            names = "overshoot, bandwidth, stiffness, kp"
+            raise InputError(f"position loop: found {' and '.join(wanted)}, expected one of {names}")
+        from emps_design.control.position import design_position_loop
+
+        own = (design.axis.controller.position or {}).get("every", 1)
+        ((name, value),) = wanted.items()
+        return design_position_loop(design, name, value, own if self.position_every is None else self.position_every)

@@ -1,0 +1,217 @@
+"""A request: all options of a command or of a function as the fields of one frozen dataclass.
+
+A field says once what its option is: default, help, unit, bounds, choices, how a text is read. The command line, the
+studio, ``help()`` and the function itself are made from it, so an option has one name and one meaning everywhere.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, Field, dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from emps_design.errors import InputError, nearest_name
+from emps_design.progress import Progress, no_progress
+from emps_design.units import Units
+
+OPTION = "option"  # the key of an Option in the metadata of a field
+
+
+@dataclass(frozen=True)
+class Option:
+    """What a field of a request is beside its name, type and default.
+
+    ``unit`` is that of a linear axis with a voltage command ("" for a ratio): the number is checked against its
+    plausible range. ``limits`` are the least and the largest number, ``choices`` the words allowed. ``flags`` replace
+    the flag made of the name. ``parse`` reads the text of the command line; ``read`` makes the value from a name or a
+    path and the axis of the request. ``writes`` is the kind of file written to the path.
+    """
+
+    help: str = ""
+    unit: str | None = None
+    limits: tuple[float | None, float | None] = (None, None)
+    choices: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
+    argument: bool = False
+    metavar: str | None = None
+    parse: Callable[[str], Any] | None = None
+    read: Callable[[Any, Any], Any] | None = None
+    typed: Any = None  # type on the command line, where it is not that of the field
+    writes: str | Mapping[str, str] = ""
+
+
+def option(default: Any, help: str, **declaration: Any) -> Any:
+    """A field of a request; ``declaration`` are the other fields of :class:`Option`, ``default`` ``...`` for none."""
+    return field(
+        default=MISSING if default is ... else default, metadata={OPTION: Option(help, **declaration)}, kw_only=False
+    )
+
+
+@dataclass(frozen=True)
+class Request:
+    """Base of every request.
+
+    ``given`` are the names of the fields that the user set, ``sources`` the names and paths that values were read from;
+    ``progress`` gets the stage and the share done.
+
+    >>> @dataclass(frozen=True)
+    ... class Push(Request):
+    ...     force: float = option(1.0, "force on the carriage [N]", unit="N")
+    ...     chart: str = option("line", "what is drawn", choices=("line", "bars"))
+    >>> Push(force=2.0).force
+    2.0
+    >>> Push(chart="bar")
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: `chart`: found 'bar', expected one of line, bars, did you mean 'bars'?
+    """
+
+    given: frozenset[str] = field(default=frozenset(), kw_only=True, repr=False, compare=False)
+    sources: Mapping[str, Any] = field(default_factory=dict, kw_only=True, repr=False, compare=False)
+    progress: Progress = field(default=no_progress, kw_only=True, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        units = getattr(getattr(self, "axis", None), "units", Units())
+        for declared in options_of(type(self)):
+            _check(declared, getattr(self, declared.name), units)
+
+    def refuse(self, names: Iterable[str], why: str) -> None:
+        """Raise :class:`InputError` with ``why`` if the user set one of ``names``, which would have no effect."""
+        unused = [name for name in names if name in self.given]
+        if unused:
+            raise InputError(f"{', '.join(f'`{name}`' for name in unused)}: {why}")
+
+
+def _check(declared: Field[Any], value: Any, units: Units) -> None:
+    """Check ``value`` of a field against unit, limits and choices."""
+    about, name = declared.metadata[OPTION], f"`{declared.name}`"
+    if value is None:
+        return
+    if about.choices and value not in about.choices:
+        expected = ", ".join(choice for choice in about.choices if choice)
+        raise InputError(
+            f"{name}: found {value!r}, expected one of {expected}{nearest_name(str(value), about.choices)}"
+        )
+    least, most = about.limits
+    if (least is not None and value < least) or (most is not None and value > most):
+        span = f"at least {least}" if most is None else f"{least} to {most}"
+        raise InputError(f"{name}: found {value!r}, expected {span}")
+    if about.unit is not None:
+        units.check(name, value, about.unit, positive=True)
+
+
+def options_of(request: type[Request]) -> list[Field[Any]]:
+    """The fields of ``request`` that are options, arguments first."""
+    declared = [entry for entry in dataclasses.fields(request) if OPTION in entry.metadata]
+    return sorted(declared, key=lambda entry: not entry.metadata[OPTION].argument)
+
+
+def flags_of(declared: Field[Any]) -> tuple[str, ...]:
+    """The flags of an option on the command line, the one that messages name first."""
+    return declared.metadata[OPTION].flags or (f"--{declared.name.strip('_').replace('_', '-')}",)
+
+
+RequestType = TypeVar("RequestType", bound=Request)
+
+
+def make_request(kind: type[RequestType], values: Mapping[str, Any], given: Iterable[str], **more: Any) -> RequestType:
+    """A request of ``kind`` from ``values``: texts, names and paths are read, the axis first, for it tells how to.
+
+    ``given`` are the names that the user set; ``more`` are fields that are no options.
+    """
+    read: dict[str, Any] = {}
+    for entry in sorted(options_of(kind), key=lambda entry: entry.name != "axis"):
+        if entry.name in values:
+            read[entry.name] = _read(entry, values[entry.name], read.get("axis"))
+    sources = {entry.name: values[entry.name] for entry in options_of(kind) if _is_source(entry, values)}
+    return kind(**read, given=frozenset(given), sources=sources, **more)
+
+
+def _is_source(entry: Field[Any], values: Mapping[str, Any]) -> bool:
+    return entry.metadata[OPTION].read is not None and entry.name in values
+
+
+def _read(entry: Field[Any], value: Any, axis: Any) -> Any:
+    """``value`` of a field, with a text or a path in it made what it stands for."""
+    about: Option = entry.metadata[OPTION]
+    if isinstance(value, list | tuple) and (about.read or about.parse):
+        return tuple(_read(entry, member, axis) for member in value)
+    if isinstance(value, str | Path) and about.read is not None:
+        return about.read(value, axis)
+    if isinstance(value, str) and about.parse is not None:
+        try:
+            return about.parse(value)
+        except InputError as error:
+            raise InputError(f"`{entry.name}`: {error}") from error
+    return value
+
+
+Answer = TypeVar("Answer")
+
+
+def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
+    """Let a function whose last parameter is a request be called with the fields of the request.
+
+    ``help()`` shows every option with its unit and meaning. A request itself is taken as it is.
+
+    >>> @dataclass(frozen=True)
+    ... class Push(Request):
+    ...     force: float = option(1.0, "force on the carriage [N]", unit="N")
+    >>> @takes(Push)
+    ... def push(request: Push) -> float:
+    ...     '''The force, doubled.'''
+    ...     return 2.0 * request.force
+    >>> push(3.0), push(force=4.0), push(Push(5.0))
+    (6.0, 8.0, 10.0)
+    >>> list(inspect.signature(push).parameters)
+    ['force', 'progress']
+    """
+
+    def decorate(function: Callable[..., Answer]) -> Callable[..., Answer]:
+        signature = _signature(kind, function)
+        before = len(inspect.signature(function).parameters) - 1  # such as self
+
+        @functools.wraps(function)
+        def call(*arguments: Any, **named: Any) -> Answer:
+            if len(arguments) == before + 1 and not named and isinstance(arguments[-1], kind):
+                return function(*arguments)
+            values = signature.bind(*arguments, **named).arguments
+            passed = [values.pop(name) for name in list(signature.parameters)[:before]]
+            progress = values.pop("progress", None) or no_progress
+            return function(*passed, make_request(kind, values, values, progress=progress))
+
+        described: Any = call
+        described.__signature__ = signature
+        lines = [f"    {entry.name}: {entry.metadata[OPTION].help}" for entry in options_of(kind)]
+        described.__doc__ = "\n".join([inspect.cleandoc(function.__doc__ or ""), "", "Options:", *lines])
+        return call
+
+    return decorate
+
+
+def _signature(kind: type[Request], function: Callable[..., Any]) -> inspect.Signature:
+    """The signature of ``function`` with the fields of ``kind`` in the place of its last parameter, the request."""
+    own = inspect.signature(function)
+    options = [
+        inspect.Parameter(
+            entry.name,
+            inspect.Parameter.POSITIONAL_OR_KEYWORD,
+            default=inspect.Parameter.empty if entry.default is MISSING else entry.default,
+            annotation=entry.type,
+        )
+        for entry in options_of(kind)
+    ]
+    progress = inspect.Parameter("progress", inspect.Parameter.KEYWORD_ONLY, default=None, annotation="Progress")
+    parameters = [*list(own.parameters.values())[:-1], *options, progress]
+    return inspect.Signature(parameters, return_annotation=own.return_annotation)
+
+
+def types_of(kind: type[Request]) -> dict[str, Any]:
+    """The type of each option on the command line."""
+    typed = {entry.name: entry.metadata[OPTION].typed for entry in options_of(kind)}
+    hints = get_type_hints(kind) if None in typed.values() else {}
+    return {name: hints[name] if own is None else own for name, own in typed.items()}

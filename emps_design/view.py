@@ -1,0 +1,150 @@
+"""What a reader is to see of a result: lines and tables in their order, as data.
+
+One description is rendered as text for the terminal and ``str``, and as HTML for a page and a notebook. A view is made
+in the units and words of its axis; a renderer changes no text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from emps_design.errors import printable
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+STYLES = {"": "", "good": "bold green", "bad": "bold red", "strong": "bold", "code": ""}  # of a line on a terminal
+Cell = Any  # text, a number or None
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of text; ``style`` is "" or one of "good", "bad", "strong", and "code" for what must not be wrapped."""
+
+    text: str
+    style: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under headings, with a title; a number has four significant digits, None is ``missing``.
+
+    ``words`` are the headings of columns of text, aligned left as the first one is; the others are aligned right.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    title: str = ""
+    words: Sequence[str] = ("unit",)
+    missing: str = "-"
+    kind: str = field(default="table", init=False)
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.headings):
+                raise ValueError(f"table {self.title!r}: a row has {len(row)} cells, expected {len(self.headings)}")
+
+    def texts(self) -> list[list[str]]:
+        """The rows as text.
+
+        >>> Table(("", "value"), [("mass", 95.1089), ("limit", None)]).texts()
+        [['mass', '95.11'], ['limit', '-']]
+        """
+        return [[self._text(cell) for cell in row] for row in self.rows]
+
+    def _text(self, cell: Cell) -> str:
+        if cell is None:
+            return self.missing
+        return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+View = tuple[Line | Table, ...]
+
+
+class Viewed:
+    """A result with a ``view``: it prints as text and shows itself in a notebook."""
+
+    def view(self) -> View:
+        """What a reader is to see of it."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return text(self.view())
+
+    def _repr_html_(self) -> str:
+        return html(self.view())
+
+
+def text(view: View, width: int = 80) -> str:
+    """``view`` as text of at most ``width`` columns where its tables fit.
+
+    >>> print(text((Line("stable", "good"), Table(("", "value", "unit"), [("mass", 95.1089, "kg")], "Loop"))))
+    stable
+    Loop
+    <BLANKLINE>
+            value   unit
+     ───────────────────
+     mass   95.11   kg
+    """
+    from rich.console import Console
+
+    console = Console(width=width, markup=False, emoji=False, highlight=False, color_system=None)
+    with console.capture() as captured:
+        for part in view:
+            show(console, part)
+    return "\n".join(line.rstrip() for line in captured.get().rstrip().split("\n"))
+
+
+def show(console: Console, part: Line | Table) -> None:
+    """Print ``part`` on ``console``; unprintable characters, which names may hold, are shown as ``?``."""
+    from rich.text import Text
+
+    if isinstance(part, Line):
+        console.print(Text(printable(part.text), STYLES[part.style]), soft_wrap=True)
+    else:
+        console.print(_rich(part))
+
+
+def _rich(table: Table) -> RichTable:
+    """The table with numbers on the right."""
+    from rich import box
+    from rich.table import Table as RichTable
+
+    title = printable(table.title) or None
+    shown = RichTable(title=title, title_justify="left", box=box.SIMPLE, pad_edge=False, min_width=len(table.title))
+    for place, heading in enumerate(table.headings):
+        words = place == 0 or heading in table.words
+        shown.add_column(printable(heading), justify="left" if words else "right", overflow="fold")
+    for row in table.texts():
+        shown.add_row(*map(printable, row))
+    return shown
+
+
+def html(view: View) -> str:
+    """``view`` as HTML, for a page or a notebook.
+
+    >>> html((Line("stable", "good"), Table(("", "value"), [("gain <", 2.0)], "Loop")))  # doctest: +ELLIPSIS
+    '<p class="good">stable</p>\\n<table><caption>Loop</caption><thead><tr><th></th><th>value</th></tr></thead>...'
+    """
+    return "\n".join(_paragraph(part) if isinstance(part, Line) else _table(part) for part in view)
+
+
+def _paragraph(line: Line) -> str:
+    style = f' class="{line.style}"' if line.style else ""
+    return f"<p{style}>{escape(line.text)}</p>"
+
+
+def _table(table: Table) -> str:
+    numeric = [place > 0 and heading not in table.words for place, heading in enumerate(table.headings)]
+
+    def row(tag: str, cells: Sequence[str]) -> str:
+        style = ["" if tag == "th" or not number else ' class="number"' for number in numeric]
+        return "<tr>" + "".join(f"<{tag}{s}>{escape(c)}</{tag}>" for s, c in zip(style, cells, strict=True)) + "</tr>"
+
+    caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
+    body = "".join(row("td", cells) for cells in table.texts())
+    return f"<table>{caption}<thead>{row('th', table.headings)}</thead><tbody>{body}</tbody></table>"
