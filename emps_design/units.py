@@ -262,6 +262,31 @@ class Units:
         rpm = f" ({_scaled(numbers, 1.0 / _RPM)} rpm)" if turning and abs(_float(numbers)) >= 0.1 else ""
         return f"{numbers} {unit}".rstrip() + rpm
 
+    def quantity(self, value: float, base: str, spec: str = ".4g") -> str:
+        """``value`` [SI of ``base``] with its unit on this axis; ``base`` may have a prefix, such as mm or mV.
+
+        A speed of a rotary axis is given in rpm as well. ``spec`` formats the number.
+
+        >>> joint = Units("rotary", "current", "A")
+        >>> joint.quantity(1.2, "N"), joint.quantity(0.012, "mm/s"), joint.quantity(1.5, "m/s", ".3g")
+        ('1.2 N m', '0.6875 deg/s', '1.5 rad/s (14.3 rpm)')
+        >>> Units().quantity(0.012, "mm/s"), Units(command="torque", command_unit="%").quantity(0.0123, "mV")
+        ('12 mm/s', '0.0123 %')
+        """
+        prefix = _PREFIXED.get(base.partition("/")[0], 1.0)
+        unit, factor = self.read(base)
+        text = f"{format(value / prefix * factor, spec)} {unit}".rstrip()
+        turning = self.rotary and base == "m/s" and abs(value) >= 0.1
+        return f"{text} ({format(value / _RPM, spec)} rpm)" if turning else text
+
+    def word(self, name: str) -> str:
+        """This axis's word for ``name``, a word of the linear axis with a voltage command.
+
+        >>> Units("rotary", "current", "A").word("force"), Units().word("voltage")
+        ('torque', 'voltage')
+        """
+        return self._table.get(name, name)
+
     def read(self, base: str) -> tuple[str, float]:
         """The unit in which a number of ``base``, perhaps with a prefix, is displayed on this axis, and the factor.
 

@@ -25,7 +25,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS, Effect, Kernel
 from emps_design.errors import InputError
-from emps_design.quantities import check_magnitude
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     import control
@@ -208,22 +208,25 @@ class Member:
         slopes = [_slope(lambda q: self.force_at(q, v, tau, self.x), place, step) for place in self.places]
         return float(np.max(np.abs(slopes)))
 
-    def left_out(self, v: float, tau: float) -> list[str]:
+    def left_out(self, v: float, tau: float, units: Units) -> list[str]:
         """Warnings on what the linearisation of this effect leaves out."""
-        effect, warnings = self.effect, []
+        effect, warnings, speed = self.effect, [], units.quantity(v, "m/s", "g")
         if effect.guard is not None or effect.jump_time is not None:
-            warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {v:g} m/s only")
+            warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {speed} only")
         if effect.command is not None:
-            warnings.append(f"{effect.name}: a signal added to the voltage, left out of the linear design")
+            command = units.word("voltage")
+            warnings.append(f"{effect.name}: a signal added to the {command}, left out of the linear design")
         if not self.settled:
-            warnings.append(f"{effect.name}: has no steady state at {v:g} m/s, linearised at its initial one")
+            warnings.append(f"{effect.name}: has no steady state at {speed}, linearised at its initial one")
         if self.repeat:
-            where = f"{effect.name}: repeats every {self.repeat:.4g} m, {abs(v) / self.repeat:.4g} Hz at {v:g} m/s"
-            at_place, what = self.force_at, "a disturbance of +-{:.3g} N, not a spring"
+            period = units.quantity(self.repeat, "m")
+            where = f"{effect.name}: repeats every {period}, {abs(v) / self.repeat:.4g} Hz at {speed}"
+            at_place, unit, what = self.force_at, "N", "a disturbance of +-{}, not a spring"
             if effect.sensor is not None:
-                at_place, what = self.sensor, "an error of the reading of +-{:.3g} m, not a gain"
+                at_place, unit, what = self.sensor, "m", "an error of the reading of +-{}, not a gain"
             size = 0.5 * float(np.ptp([at_place(q, v, tau, self.x) for q in self.places]))
-            warnings.append(f"{where}; its slope averages out there: in the linear design it is {what.format(size)}")
+            what = what.format(units.quantity(size, unit, ".3g"))
+            warnings.append(f"{where}; its slope averages out there: in the linear design it is {what}")
         return warnings
 
     def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:
@@ -342,9 +345,10 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     """
     if not np.isfinite(velocity) or velocity == 0.0:
         raise InputError(
-            f"velocity: found {velocity:g} m/s, expected a number other than 0: friction has no slope there"
+            f"velocity: found {axis.units.quantity(velocity, 'm/s', 'g')}, expected a number other than 0: friction "
+            "has no slope there"
         )
-    check_magnitude("velocity", velocity, "m/s")
+    axis.units.check("velocity", velocity, "m/s")
     b, braking, members = axis.mechanics.array(), axis.drive.braking, list[Member]()
     for entry in axis.effects:
         p = entry.effect.values(entry.parameters)
@@ -352,7 +356,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
             braking += entry.effect.slopes(p)[0]
         else:
             members.append(Member(entry.effect, p, b))
-    gain, lag = axis.drive.gain, axis.drive.current_time_constant
+    gain, lag, shown = axis.drive.gain, axis.drive.current_time_constant, axis.units.quantity
     warnings: list[str] = []
 
     # Without the braking of a back-EMF: the effects read the force of the winding's current.
@@ -374,14 +378,16 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     needed = (tau + braking * velocity) / gain
     slope = gain * actuator.slope(needed)
     if slope == 0.0:
-        raise InputError(f"effects: with {' and '.join(actuator.names)} no voltage acts, expected one within the limit")
+        kinds, command = " and ".join(actuator.names), axis.units.word("voltage")
+        raise InputError(f"effects: with {kinds} no {command} acts, expected one within the limit")
     if abs(actuator.reach(needed)) < abs(needed):
         where = (
             "linearised just inside that, where the loop can work" if actuator.maps else "the loop works when slower"
         )
         warnings.append(
-            f"{' and '.join(actuator.names) or 'limit of the command'}: steady motion at {velocity:g} m/s takes "
-            f"{needed:.3g} V and only {actuator.reach(needed):.3g} V act; {where}"
+            f"{' and '.join(actuator.names) or 'limit of the command'}: steady motion at "
+            f"{shown(velocity, 'm/s', 'g')} takes {shown(needed, 'V', '.3g')} and only "
+            f"{shown(actuator.reach(needed), 'V', '.3g')} act; {where}"
         )
     firsts = [2 + sum(sizes[:i]) for i in range(len(sizes))]  # of each member's states
     lags = [(-1, lag)] * (lag > 0.0)
@@ -418,11 +424,11 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         C[POSITION] += s_q
         C[VELOCITY] += s_v
         C[own] += s_x
-        warnings += member.left_out(velocity, tau)
+        warnings += member.left_out(velocity, tau, axis.units)
     if not mass > 0.0:
         kinds = " and ".join(entry.kind for entry in axis.effects)
         raise InputError(
-            f"effects: {mass:.4g} kg are left on the encoder's side of {kinds}, expected shares that leave some"
+            f"effects: {shown(mass, 'kg')} are left on the encoder's side of {kinds}, expected shares that leave some"
         )
     A[VELOCITY] = ((1.0 - drag_tau) * force_row - drag) / mass
     B[VELOCITY] = (1.0 - drag_tau) * force_in / mass

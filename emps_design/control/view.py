@@ -166,15 +166,16 @@ def _notes(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     step, noise = document["largest_velocity_step"], document["encoder_voltage_noise"]
     if not step or not noise:
         return
-    speed, command = units.unit("m/s"), units.unit("V")
-    yield Line(
-        f"largest velocity step before {step['voltage_limit']:g} {command}: {number(step['value'])} {speed} "
-        f"({number(step['peak_voltage_per_unit'])} {command} per {speed}, dry friction takes "
-        f"{number(step['dry_friction_voltage'], 3)} {command})"
+    limit, per_unit, friction = (
+        units.quantity(step[key], "V", spec)
+        for key, spec in (("voltage_limit", "g"), ("peak_voltage_per_unit", ".4g"), ("dry_friction_voltage", ".3g"))
     )
-    small, factor = units.read("mV")
-    rms, one = (number(1e3 * factor * noise[key], 3) for key in ("rms", "one_step"))
-    yield Line(f"{units.words('voltage')} noise of the encoder: {rms} {small} rms, {one} {small} per step")
+    yield Line(
+        f"largest velocity step before {limit}: {units.quantity(step['value'], 'm/s')} "
+        f"({per_unit} per {units.unit('m/s')}, dry friction takes {friction})"
+    )
+    rms, one = (units.quantity(noise[key], "mV", ".3g") for key in ("rms", "one_step"))
+    yield Line(f"{units.word('voltage')} noise of the encoder: {rms} rms, {one} per step")
 
 
 def what_is_judged(document: dict[str, Any]) -> str:
@@ -234,7 +235,7 @@ def _structures(document: dict[str, Any]) -> Table:
 
 def _mismatch(study: dict[str, Any], units: Units) -> View:
     """The margins of the same gains, and the gains by (7), over the corners of the mismatch."""
-    errors = ", ".join(f"{units.words(name)} +-{100 * share:.3g} %" for name, share in study["errors"].items())
+    errors = ", ".join(f"{units.word(name)} +-{100 * share:.3g} %" for name, share in study["errors"].items())
     rows = [
         (label, *(number(scale * value) for value in study[key]), unit)
         for label, key, unit, scale in UNDER_MISMATCH
@@ -308,7 +309,7 @@ def _position_loop(design: dict[str, Any], units: Units) -> Iterator[Line | Tabl
     for label, key, name, unit in (
         ("overshoot of a step", "overshoot_percent", "overshoot", "%"),
         ("bandwidth, -3 dB", "bandwidth", "bandwidth", "rad/s"),
-        (f"step of {units.words('force')} over displacement", "stiffness", "stiffness", units.unit("N/m")),
+        (f"step of {units.word('force')} over displacement", "stiffness", "stiffness", units.unit("N/m")),
     ):
         rows.append((label, _cell(design[key]), unit, number(value) if name == requested else ""))
     for loop in design["loops"]:

@@ -150,7 +150,7 @@ class ImpedanceLaw:
         e, coulomb = self.estimate, s * self.coulomb_factor * self.estimate.coulomb[i]
         if self.force_sensor:
             if tau_e is None:
-                raise InputError("tau_e: found none, expected the force sensor's reading [N]")
+                raise InputError("tau_e: found none, expected the reading of the sensor")
         else:
             tau_e = observed_force(e.mass, e.viscous[i], coulomb, self.current_factor, a, v, tau)
         away = q - self.rest_position
@@ -175,7 +175,7 @@ class ImpedanceLaw:
             )
         d = 1.0 + self.recursion_gain
         if self.at_singularity(self.current_factor):
-            raise InputError("mass M_a: 1 + kappa (Mh/M_a - 1) = 0, the law has no solution with an ideal current loop")
+            raise InputError("M_a: 1 + kappa (Mh/M_a - 1) = 0, the law has no solution with an ideal current loop")
         if self.current_factor == DERIVED:  # D = r, written so that equal numbers cancel exactly
             return ApparentImpedance(
                 self.mass + (plant.mass - self.estimate.mass),
@@ -321,7 +321,7 @@ def equivalent_impedance(
     (0.87, 100.0)
     """
     if not math.isfinite(k_e1) or k_e1 <= 0.0:
-        raise InputError(f"k_e1: found {k_e1:g} (m/s)/N, expected more than 0")
+        raise InputError(f"k_e1: found {axis.units.quantity(k_e1, '(m/s)/N', 'g')}, expected more than 0")
     w0, z = map(float, canonical_form(crossover, phase_margin_deg))
     damping = 1.0 / k_e1 if _checked_criterion(criterion) == LOW_FREQUENCY else (1.0 - BAND**2 / (3.0 * w0**2)) / k_e1
     return _loop(axis, 2.0 * z / (w0 * k_e1), damping, k_e1, w0, criterion, mismatch)
@@ -347,9 +347,10 @@ def equivalent_loop(
     (0.01, 0.04)
     """
     if not mass > 0.0 or not math.isfinite(mass) or damping < 0.0 or not math.isfinite(damping):
-        raise InputError(f"mass, damping: found {mass:g} kg, {damping:g} N/(m/s), expected M_a > 0 and B >= 0")
+        found = f"{axis.units.quantity(mass, 'kg', 'g')}, {axis.units.quantity(damping, 'N/(m/s)', 'g')}"
+        raise InputError(f"M_a, B: found {found}, expected M_a > 0 and B >= 0")
     if damping == 0.0:
-        raise SpecificationError("damping B: found 0 N/(m/s); a cascade has 1/k_e1 = B, expected more than 0")
+        raise SpecificationError("damping B: found 0; a cascade has 1/k_e1 = B, expected more than 0")
     plant = FrictionModel.of(axis)
     speed = default_filter(axis.sampling.period) if input_crossover is None else input_crossover
     rate = speed + plant.viscous_positive / plant.mass  # 2 z_v w_0v
@@ -371,17 +372,19 @@ def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tu
     >>> safety_words(machine("emps2018"), 50.0, 1.0, 0.02)[0].partition(",")[0]
     'not safe: B = 1 N/(m/s) is within the 2 % error of F_v'
     """
-    plant = FrictionModel.of(axis)
+    plant, shown = FrictionModel.of(axis), axis.units.quantity
     words = []
     if mass <= mismatch * plant.mass:
         words.append(
-            f"not safe: M_a = {mass:.3g} kg is within the {100 * mismatch:g} % error of M, "
-            f"{mismatch * plant.mass:.3g} kg; at the bad corner the apparent mass is negative"
+            f"not safe: M_a = {shown(mass, 'kg', '.3g')} is within the {100 * mismatch:g} % error of M, "
+            f"{shown(mismatch * plant.mass, 'kg', '.3g')}; at the bad corner the apparent {axis.units.word('mass')} is "
+            "negative"
         )
     if damping <= mismatch * max(plant.viscous):
         words.append(
-            f"not safe: B = {damping:.3g} N/(m/s) is within the {100 * mismatch:g} % error of F_v, "
-            f"{mismatch * max(plant.viscous):.3g} N/(m/s); at the bad corner the apparent damping is negative"
+            f"not safe: B = {shown(damping, 'N/(m/s)', '.3g')} is within the {100 * mismatch:g} % error of F_v, "
+            f"{shown(mismatch * max(plant.viscous), 'N/(m/s)', '.3g')}; at the bad corner the apparent damping is "
+            "negative"
         )
     return tuple(words)
 

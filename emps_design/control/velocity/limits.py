@@ -366,10 +366,11 @@ def limits(
         return candidate is not None and command_in_a_step(axis, candidate, abs(velocity)) > limit
 
     grid = np.geomspace(SLOWEST * fastest.crossover, fastest.crossover, COARSE)
+    step = axis.units.quantity(abs(velocity), "m/s", "g")
     noise, voltage = _exceeded(noisy, grid), _exceeded(too_much, grid)
     named = {
         f"encoder noise: more than {100.0 * NOISE:g} % of the limit of the command": noise,
-        f"voltage: a step of {abs(velocity):g} m/s takes more than the limit": voltage,
+        f"{axis.units.word('voltage')}: a step of {step} takes more than the limit": voltage,
         fastest.limit: (fastest.crossover, None),
     }
     ranges = ((name, where) for name, where in named.items() if where is not None)

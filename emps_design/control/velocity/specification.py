@@ -31,6 +31,7 @@ from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import linear_law
 from emps_design.quantities import check_magnitude
+from emps_design.units import Units
 
 ROOM = 1.0  # samples of delay margin
 PASSED = 0.5  # share of the frequency at which the sampled closed loop must be above -3 dB
@@ -309,16 +310,17 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
     """
     if not axis.effects:
         return []
+    back_speed = axis.units.quantity(-velocity, "m/s", "g")
     closed_form = "(7)" if loop.structure.form == "ip" else "the closed form"
     notes = carriage_in_words(axis, loop.plant.linear, velocity, closed_form)
     if loop.stable:
         back = replace(loop, plant=sample_axis(axis, -velocity, loop.plant.filters))
         here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
         if not back.stable:
-            notes.append(f"the sampled loop is unstable at {-velocity:g} m/s")
+            notes.append(f"the sampled loop is unstable at {back_speed}")
         elif here is not None and there is not None and there < here - 0.5:
-            notes.append(f"at {-velocity:g} m/s the sampled loop has {there:.3g} deg of phase margin only")
-        notes += _where_it_is_steepest(loop)
+            notes.append(f"at {back_speed} the sampled loop has {there:.3g} deg of phase margin only")
+        notes += _where_it_is_steepest(loop, axis.units)
     return notes
 
 
@@ -334,18 +336,19 @@ def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_f
     >>> carriage_in_words(axis, linear_plant(axis), 0.1)
     ['(7) takes one rigid mass of 115.7 kg; the sampled loop has the resonance at 47.99 Hz, 34.72 kg before it']
     """
-    notes, mass, damping = [], axis.mechanics.mass, axis.damping
+    notes, mass, damping, shown = [], axis.mechanics.mass, axis.damping, axis.units.quantity
     moved, slope = linear.in_slow_motion
     if abs(moved - mass) > 0.01 * mass or abs(slope - damping) > 0.01 * damping:
         notes.append(
-            f"with its effects the carriage has {moved:.4g} kg and a friction slope of {slope:.4g} "
-            f"N/(m/s) at {velocity:g} m/s; {closed_form} takes {mass:.4g} kg and {damping:.4g} N/(m/s), the sampled "
-            "loop takes all"
+            f"with its effects the {axis.units.word('carriage')} has {shown(moved, 'kg')} and a friction slope of "
+            f"{shown(slope, 'N/(m/s)')} at {shown(velocity, 'm/s', 'g')}; {closed_form} takes {shown(mass, 'kg')} and "
+            f"{shown(damping, 'N/(m/s)')}, the sampled loop takes all"
         )
     for w, _ in oscillations(linear.A):
-        before = f", {linear.mass:.4g} kg before it" if linear.mass < 0.99 * moved else ""
+        before = f", {shown(linear.mass, 'kg')} before it" if linear.mass < 0.99 * moved else ""
         notes.append(
-            f"{closed_form} takes one rigid mass of {mass:.4g} kg; the sampled loop has the resonance at "
+            f"{closed_form} takes one rigid {axis.units.word('mass')} of {shown(mass, 'kg')}; the sampled loop has the "
+            "resonance at "
             f"{w / (2.0 * math.pi):.4g} Hz{before}"
         )
     return notes
@@ -366,16 +369,18 @@ def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> li
     return notes + (notes_on_carriage or ["the closed form knows no effects of the axis, the sampled loop takes all"])
 
 
-def _where_it_is_steepest(loop: SampledVelocityLoop) -> list[str]:
+def _where_it_is_steepest(loop: SampledVelocityLoop, units: Units) -> list[str]:
     """Return notes if slow motion is less stable: there the slope of force over position does not average out."""
     steepest = loop.plant.linear.steepest
     if steepest == 0.0:
         return []
     here, notes = loop.margins.phase_margin_deg, []
+    place = "angle" if units.rotary else "position"
     for stiffness in (steepest, -steepest):
         linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
         slow = replace(loop, plant=loop.plant.sampling(linear))
-        where = f"in slow motion, where the force over position has its slope of {stiffness:.3g} N/m,"
+        slope = units.quantity(stiffness, "N/m", ".3g")
+        where = f"in slow motion, where the {units.word('force')} over {place} has its slope of {slope},"
         there = slow.margins.phase_margin_deg
         if not slow.stable:
             notes.append(f"{where} the sampled loop is unstable")
