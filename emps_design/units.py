@@ -366,6 +366,9 @@ class Units:
         return _MECHANICAL[self.motion][column]
 
 
+LINEAR = Units()  # a linear axis with a voltage command, for which the library computes
+
+
 def _float(number: str) -> float:
     return float(number.replace("−", "-"))
 

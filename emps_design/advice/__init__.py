@@ -26,6 +26,7 @@ from emps_design.advice.advice import (
     nearest_command,
     sentence,
 )
+from emps_design.units import LINEAR, Units
 
 JUDGES: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {**DESIGNS, **RECORDS}
 
@@ -36,11 +37,12 @@ def advise(
     words: Sequence[str] = (),
     axis: str | None = None,
     records: Sequence[str] = (),
+    units: Units = LINEAR,
 ) -> Advice:
     """Return the advice on the ``document`` of the command ``name``.
 
     ``words`` are the command line from the command's name on, ``axis`` and ``records`` its files; the command to run
-    next is made of them, or of the names in the document.
+    next is made of them, or of the names in the document. ``units`` are those of the axis.
 
     >>> worst = {"name": "whole loop", "stable": True, "phase_margin_deg": 21.0, "gain_margin": 3.0}
     >>> advise("margins", {"axis": "servo", "worst_loop": worst, "warnings": []}).level
@@ -52,7 +54,7 @@ def advise(
         names = document.get("records", document.get("record", ()))
         records = [names] if isinstance(names, str) else [name for name in names if isinstance(name, str)]
         records = records or ["RECORD"]
-    command_line = CommandLine(tuple(words) or _usual(name, axis, records), axis, tuple(records))
+    command_line = CommandLine(tuple(words) or _usual(name, axis, records), axis, tuple(records), units)
     return (report if name == "report" else JUDGES[name])(document, command_line)
 
 

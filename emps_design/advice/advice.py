@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from emps_design.units import LINEAR, Units
+
 SAFE, CAUTION, DO_NOT_RUN = LEVELS = ("safe", "caution", "do-not-run")
 GRAVE = re.compile(  # words of a warning with which no design is safe
     r"\bunstable\b|\bcreep|limit cycle|\bkeeps? (?:on )?(?:swinging|oscillating)|\bhunt\b|\bsinks\b|\bdiverg"
@@ -70,11 +72,15 @@ class Advice:
 
 @dataclass(frozen=True)
 class CommandLine:
-    """A command line: its ``words`` from the command's name on, and the files ``axis`` and ``records`` among them."""
+    """A command line: its ``words`` from the command's name on, the files ``axis`` and ``records`` among them.
+
+    ``units`` are those of the axis, for the sentences of the advice.
+    """
 
     words: tuple[str, ...]
     axis: str
     records: tuple[str, ...] = ()
+    units: Units = LINEAR
 
     @property
     def out(self) -> str | None:
@@ -203,7 +209,9 @@ def _observe(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     if objection(document):
         return Advice(CAUTION, objection(document), command("identify", *command_line.records, axis=command_line.axis))
     least = document.get("online", document.get("offline"))["smallest_observable_force"]["value"]
-    return Advice(SAFE, f"forces of more than {least:.3g} N are seen with this model", None)
+    units = command_line.units
+    forces, size = units.word("forces"), units.quantity(least, "N", ".3g")
+    return Advice(SAFE, f"{forces} of more than {size} are seen with this model", None)
 
 
 def _diagnose(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -243,7 +251,7 @@ RECORDS: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {
 }
 
 
-def where_in_words(where: Mapping[str, Any]) -> str:
+def where_in_words(where: Mapping[str, Any], units: Units = LINEAR) -> str:
     """Return in words how the machine of a loop differs from the axis, or "" for the axis itself.
 
     ``inertia`` and ``compliance`` are factors, ``delay`` [s] is additional, ``velocity`` [m/s] is where the effects are
@@ -261,16 +269,16 @@ def where_in_words(where: Mapping[str, Any]) -> str:
         elif name == "delay":
             parts.append(f"{1e3 * value:.4g} ms more delay")
         elif name == "velocity":
-            places.append(f"at {value:g} m/s")
+            places.append(f"at {units.quantity(value, 'm/s', 'g')}")
         elif name == "response":
             places.append(f"on the measured plant {value}")
         else:
-            parts.append(f"{name.replace('_', ' ')} {100.0 * value:+.3g} %")
+            parts.append(f"{' '.join(map(units.word, name.split('_')))} {100.0 * value:+.3g} %")
     listed = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
     return " ".join([*([f"with {listed}"] if listed else []), *places])
 
 
-def _unsafe(worst: Mapping[str, Any] | None) -> str:
+def _unsafe(worst: Mapping[str, Any] | None, units: Units) -> str:
     """Return in words which margins of the worst loop are too small, or ""."""
     if worst is None:
         return ""
@@ -280,20 +288,19 @@ def _unsafe(worst: Mapping[str, Any] | None) -> str:
         short.append(f"{phase:.3g} deg of phase margin, less than {SAFE_PHASE_MARGIN_DEG:g}")
     if gain is not None and gain < SAFE_GAIN_MARGIN:
         short.append(f"a gain margin of {gain:.3g}, less than {SAFE_GAIN_MARGIN:g}")
-    return f"the {_loop(worst)} has {' and '.join(short)}" if short else ""
+    return f"the {_loop(worst, units)} has {' and '.join(short)}" if short else ""
 
 
-def _loop(worst: Mapping[str, Any]) -> str:
-    where = {name: value for name, value in worst.get("where", {}).items()}
-    return " ".join(filter(None, (worst["name"], where_in_words(where))))
+def _loop(worst: Mapping[str, Any], units: Units) -> str:
+    return " ".join(filter(None, (worst["name"], where_in_words(worst.get("where", {}), units))))
 
 
-def _has(worst: Mapping[str, Any]) -> str:
+def _has(worst: Mapping[str, Any], units: Units) -> str:
     """Return the margins of the worst loop of a safe design in words."""
     phase, gain = worst["phase_margin_deg"], worst["gain_margin"]
     has = "an unbounded phase margin" if phase is None else f"{phase:.3g} deg of phase margin"
     more = "an unbounded gain margin" if gain is None else f"a gain margin of {gain:.3g}"
-    return f"the worst loop, the {_loop(worst)}, has {has} and {more}"
+    return f"the worst loop, the {_loop(worst, units)}, has {has} and {more}"
 
 
 def _design(
@@ -307,11 +314,11 @@ def _design(
         return Advice(
             DO_NOT_RUN, sentence(document["reason"]), nearest_command(document.get("nearest"), command_line) or better()
         )
-    short = _unsafe(document.get("worst_loop"))
+    short = _unsafe(document.get("worst_loop"), command_line.units)
     if short or grave_warning(document):
         return Advice(CAUTION, short or grave_warning(document), better())
     worst = document.get("worst_loop")
-    return Advice(SAFE, _has(worst) if worst else "every loop is stable", next_step())
+    return Advice(SAFE, _has(worst, command_line.units) if worst else "every loop is stable", next_step())
 
 
 def gains(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -371,7 +378,7 @@ def force(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
 
 def impedance(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     """Return the advice on an impedance law."""
-    law, study = document["law"], document.get("mismatch")
+    law, study, carriage = document["law"], document.get("mismatch"), command_line.units.word("carriage")
     try_it = command("simulate", command_line.axis, scenario="comanipulation", mass=law["mass"], damping=law["damping"])
     if document.get("reason"):
         return Advice(DO_NOT_RUN, sentence(document["reason"]), nearest_command(document.get("nearest"), command_line))
@@ -381,14 +388,15 @@ def impedance(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
         factor = study and study.get("coulomb_factor_without_creep")
         below = math.floor(1e3 * (factor or 0.0)) / 1e3
         less = command_line.again(coulomb_factor=below) if below and verdict == "creeping" else None
-        text = grave_warning(document) or f"let go, the carriage is {verdict.replace('_', ' ')}"
+        text = grave_warning(document) or f"let go, the {carriage} is {verdict.replace('_', ' ')}"
         return Advice(CAUTION, text, less or nearest_command(document.get("nearest"), command_line))
-    if _unsafe(document.get("worst_loop")) or grave_warning(document):
-        return Advice(CAUTION, _unsafe(document.get("worst_loop")) or grave_warning(document), try_it)
+    short = _unsafe(document.get("worst_loop"), command_line.units) or grave_warning(document)
+    if short:
+        return Advice(CAUTION, short, try_it)
     if study is None:
         return Advice(CAUTION, "it was tried with exact estimates alone", command_line.again(mismatch=0.02))
     share = 100.0 * study["mismatch"]
-    return Advice(SAFE, f"let go, the carriage comes to rest with estimates anywhere within {share:g} %", try_it)
+    return Advice(SAFE, f"let go, the {carriage} comes to rest with estimates anywhere within {share:g} %", try_it)
 
 
 def simulate(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -397,7 +405,7 @@ def simulate(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
 
 
 def _comanipulation(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
-    verdict, law = document["verdict"], document["law"]
+    verdict, law, carriage = document["verdict"], document["law"], command_line.units.word("carriage")
     numbers = {"mass": law["mass"], "damping": law["damping"], "mismatch": document["mismatch"]}
     judge = command(impedance.__name__, command_line.axis, **numbers)
     if document.get("reason"):
@@ -405,22 +413,26 @@ def _comanipulation(document: Mapping[str, Any], command_line: CommandLine) -> A
         return Advice(DO_NOT_RUN, sentence(document["reason"]), better or judge)
     within = f"with estimates off by up to {100 * document['mismatch']:g} %"
     if verdict not in COMES_TO_REST:
-        sentences = {"creeping": "the released carriage creeps on", "no_motion": "the hand does not move the carriage"}
-        return Advice(CAUTION, f"{sentences.get(verdict, 'the released carriage keeps swinging')} {within}", judge)
-    if _unsafe(document.get("worst_loop")) or grave_warning(document):
-        return Advice(CAUTION, _unsafe(document.get("worst_loop")) or grave_warning(document), judge)
-    return Advice(SAFE, f"the released carriage comes to rest {within}", judge)
+        released = f"the released {carriage}"
+        sentences = {"creeping": f"{released} creeps on", "no_motion": f"the hand does not move the {carriage}"}
+        return Advice(CAUTION, f"{sentences.get(verdict, f'{released} keeps swinging')} {within}", judge)
+    short = _unsafe(document.get("worst_loop"), command_line.units) or grave_warning(document)
+    if short:
+        return Advice(CAUTION, short, judge)
+    return Advice(SAFE, f"the released {carriage} comes to rest {within}", judge)
 
 
 def _replay(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
-    missed = document["relative_error_percent"]["force"]
+    missed, force = document["relative_error_percent"]["force"], command_line.units.word("force")
     next_one = command("diagnose", command_line.records[0], axis=command_line.axis)
     if missed is None or math.isnan(missed):
-        return Advice(CAUTION, "the record has no force to compare with", next_one)
+        return Advice(CAUTION, f"the record has no {force} to compare with", next_one)
     if missed > FOLLOWED or objection(document):
-        text = objection(document) or f"simulation and record differ by {missed:.3g} % of the force: noise, or physics"
+        text = (
+            objection(document) or f"simulation and record differ by {missed:.3g} % of the {force}: noise, or physics"
+        )
         return Advice(CAUTION, text if objection(document) else f"{text} that the model lacks", next_one)
-    return Advice(SAFE, f"the simulation follows the record to {missed:.2g} % of the force", None)
+    return Advice(SAFE, f"the simulation follows the record to {missed:.2g} % of the {force}", None)
 
 
 def _reference(document: Mapping[str, Any], command_line: CommandLine) -> Advice:

@@ -297,7 +297,8 @@ def add_advice(
 ) -> dict[str, Any]:
     """Return the ``document`` of the running command, which read those files, with its advice."""
     files = [str(record) for record in records]
-    advice = advise(_words[0], document, tuple(_words), None if axis is None else str(axis), files)
+    name = None if axis is None else str(axis)
+    advice = advise(_words[0], document, tuple(_words), name, files, _units[0])
     return {**document, "advice": _in_flags(advice).to_dict()}
 
 

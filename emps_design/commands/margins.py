@@ -49,7 +49,7 @@ def _view(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
 
     verdict, style = ("stable", "good") if document["stable"] else ("UNSTABLE", "bad")
     yield Line(f"{document['axis']}: the loops of its {document['controller']} controller are {verdict}", style)
-    yield Line(units.text(worst_in_words(document["worst_loop"])))
+    yield Line(worst_in_words(document["worst_loop"], units))
     loops = {name: loop for name, loop in document["loops"].items() if loop is not None}
     headings = [f"{name} loop" for name in loops]
     continuous = {name: loop["continuous"] for name, loop in loops.items()}
@@ -68,7 +68,7 @@ def _view(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     if document.get("range"):
         rows = [
             (
-                where_in_words(point["where"]),
+                where_in_words(point["where"], units),
                 *(
                     f"{number(loop['phase_margin_deg'], 3)} deg, {number(loop['gain_margin'], 3)}"
                     if loop["stable"]

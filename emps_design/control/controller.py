@@ -125,7 +125,11 @@ class ControllerMargins:
     @property
     def reason(self) -> str:
         """The reason why the controller must not run, in one line; empty if every loop is stable."""
-        return "" if self.stable else f"the {loop_in_words(self.worst)} of the axis file's controller is unstable"
+        return (
+            ""
+            if self.stable
+            else f"the {loop_in_words(self.worst, self.axis.units)} of the axis file's controller is unstable"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON document of the command ``margins``."""

@@ -246,10 +246,10 @@ class ForceLoopDesign:
             return ""
         if worst.name == VELOCITY_LOOP:
             nearest = f"; {self.velocity_loop.nearest_in_words}" if self.nearest_stable and not worst.where else ""
-            where = where_in_words(worst.where)
+            where = where_in_words(worst.where, self.velocity_loop.axis.units)
             return f"the sampled velocity loop is unstable by itself, without contact{where and ' '}{where}{nearest}"
         if worst.where:
-            return f"the sampled force loop is unstable {where_in_words(worst.where)}"
+            return f"the sampled force loop is unstable {where_in_words(worst.where, self.velocity_loop.axis.units)}"
         limit = self.k_e1_max_sampled
         return "the sampled force loop is unstable; " + (
             f"the largest k_e1 that is stable is {limit:.5g} (m/s)/N"
@@ -297,7 +297,7 @@ class ForceLoopDesign:
         if not self.velocity_loop.sampled.stable:
             warnings.append("the sampled velocity loop inside it is unstable already, without contact")
         if self.worst.where and not self.worst.margins.stable:
-            warnings.append(f"the {loop_in_words(self.worst)} is unstable")
+            warnings.append(f"the {loop_in_words(self.worst, self.velocity_loop.axis.units)} is unstable")
         if self.hand + self.environment == 0.0:
             warnings.append("no operator: without a hand or an environment nothing closes the force loop")
         elif self.k_e1_max_continuous is None:

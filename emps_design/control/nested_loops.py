@@ -49,6 +49,7 @@ from emps_design.control.margins import Margins, loop_margins
 from emps_design.control.sampled import SampledLoop, close, transfer
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
+from emps_design.units import LINEAR, Units
 
 PLANT_INPUT, POSITION_ERROR = "plant input", "position error"
 VELOCITY_LOOP, WHOLE = "velocity loop", "whole loop"
@@ -216,15 +217,15 @@ def margins_in_words(margins: Margins) -> str:
     return f"{phase} phase margin and {gain}"
 
 
-def loop_in_words(loop: NestedLoop) -> str:
-    """Name a loop and its machine.
+def loop_in_words(loop: NestedLoop, units: Units = LINEAR) -> str:
+    """Name a loop and its machine, in the units of its axis.
 
     >>> from emps_design.control.margins import Margins
     >>> from emps_design.control.nested_loops import NestedLoop
     >>> loop_in_words(NestedLoop("whole loop", "plant input", Margins(stable=False), {"inertia": 3.0}))
     'whole loop with 3 times the inertia'
     """
-    return " ".join(filter(None, (loop.name, where_in_words(loop.where))))
+    return " ".join(filter(None, (loop.name, where_in_words(loop.where, units))))
 
 
 @dataclass(frozen=True)

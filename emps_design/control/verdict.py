@@ -224,7 +224,7 @@ class DesignVerdict:
             return ""
         if self.design.reason:
             return self.design.reason
-        where = where_in_words(self.worst.where)
+        where = where_in_words(self.worst.where, self.axis.units)
         if "response" in self.worst.where:
             return f"the {self.worst.name} with these gains is unstable {where}; ask for a slower one"
         if self.worst.name == VELOCITY_LOOP:
@@ -254,7 +254,7 @@ class DesignVerdict:
         worst = self.worst
         if not self.stable or safety(worst.margins) >= 1.0:
             return ()
-        words = f"the {loop_in_words(worst)} has {margins_in_words(worst.margins)} only"
+        words = f"the {loop_in_words(worst, self.axis.units)} has {margins_in_words(worst.margins)} only"
         kp = self.position_kp if worst.name != VELOCITY_LOOP and "response" not in worst.where else None
         own = self.axis.controller.parameters["position"]["kp"] if kp is not None else 0.0
         slower = ""

@@ -59,7 +59,7 @@ def gains_view(document: dict[str, Any], units: Units) -> View:
     """What the document of ``gains`` shows."""
     return (
         verdict_line(document["stable"], what_is_judged(document)),
-        Line(units.text(worst_in_words(document["worst_loop"]))),
+        Line(worst_in_words(document["worst_loop"], units)),
         _gains(document, units),
         _margins(document),
         *_notes(document, units),
@@ -191,7 +191,7 @@ def what_is_judged(document: dict[str, Any]) -> str:
     return f"{', '.join(parts)},"
 
 
-def worst_in_words(worst: dict[str, Any]) -> str:
+def worst_in_words(worst: dict[str, Any], units: Units) -> str:
     """The worst loop of a design in words: its name, the machine it is on, and its margins."""
     from emps_design.control.nested_loops import where_in_words
 
@@ -199,7 +199,7 @@ def worst_in_words(worst: dict[str, Any]) -> str:
     if worst["stable"]:
         gain = number(worst["gain_margin"], 3)
         has = f"phase margin {number(worst['phase_margin_deg'], 3)} deg, gain margin {gain}"
-    return f"worst: {' '.join(filter(None, (worst['name'], where_in_words(worst.get('where', {})))))}: {has}"
+    return f"worst: {' '.join(filter(None, (worst['name'], where_in_words(worst.get('where', {}), units))))}: {has}"
 
 
 def loop_in_words(document: dict[str, Any]) -> str:
@@ -245,7 +245,7 @@ def _mismatch(study: dict[str, Any], units: Units) -> View:
         rows.append(("k_v1 by (7)", *(number(value, 5) for value in study["gains"]["k_v1"]), units.unit("V/(m/s)")))
         rows.append(("t_v by (7)", *(number(1e3 * value, 5) for value in study["gains"]["t_v"]), "ms"))
     headings = ("sampled loop, same gains", "least", "most", "unit")
-    share, worst = 100 * study["stable_share"], units.text(worst_in_words(study["worst_loop"]))
+    share, worst = 100 * study["stable_share"], worst_in_words(study["worst_loop"], units)
     return (
         Table(headings, rows, f"Mismatch: {errors}; {study['corners']} corners"),
         Line(f"stable at {share:.4g} % of the corners; {worst}"),

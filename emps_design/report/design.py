@@ -162,7 +162,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     ]
     worst = results.verdict.worst
     if worst.margins.stable and (worst.name != VELOCITY_LOOP or worst.where):
-        where = where_in_words(worst.where)
+        where = where_in_words(worst.where, velocity.axis.units)
         place = f"phase margin, sampled, at the {worst.broken}{where and ', '}{where}"
         facts.append((f"worst: {worst.name}", angle(worst.margins.phase_margin_deg), place))
     if sampled.stable:
