@@ -213,7 +213,8 @@ class SampledPlant:
         """The transfer function in z from voltage to the velocity estimate, all delays included."""
         import control
 
-        return control.tf(*self._own_polynomials, self.period)
+        names = {"inputs": ["voltage"], "outputs": ["velocity_estimate"], "name": "plant"}
+        return control.tf(*self._own_polynomials, self.period, **names)
 
     def delayed(self, delay: float) -> SampledPlant:
         """Return the plant with an additional ``delay`` [s] of the voltage, any fraction of a sample."""

@@ -311,7 +311,10 @@ class ForceLoopDesign:
 
     def open_loop(self) -> control.TransferFunction:
         """T_eo(s) = k_e1 k_c T_vc of (10) and (11)."""
-        return self.k_e1 * self.k_c * self.velocity_loop.closed_loop()
+        import control
+
+        loop = self.k_e1 * self.k_c * self.velocity_loop.closed_loop()
+        return control.tf(loop, inputs=["force_error"], outputs=["force"], name="T_eo")
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON document, with the limits for a force on the sensor alone and on the carriage too."""

@@ -26,6 +26,8 @@ KEYS = (
     "gain_margin_frequency",
     "gain_reduction_margin",
 )
+# Signals of a loop broken at the plant input, as python-control names them.
+LOOP_NAMES: dict[str, Any] = {"inputs": ["plant_input"], "outputs": ["command"], "name": "loop_gain"}
 LOWEST = "lowest_crossover"  # rad/s, key in arrays: first crossover, wherever the least phase margin is
 AT_REST = 1e-3  # ratio of imaginary to real part below which a loop below 0 dB at the lowest frequency counts as real
 ROUNDING = 1e-6  # rad, rounding of the lag of a loop at the limit of stability

@@ -28,7 +28,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant, sample_axis
 from emps_design.control.linear_plant import POSITION, VELOCITY, Felt
-from emps_design.control.margins import Margins
+from emps_design.control.margins import LOOP_NAMES, Margins
 from emps_design.errors import InputError
 from emps_design.laws import law_of
 from emps_design.laws.linear import LinearLaw, linear_law
@@ -324,7 +324,7 @@ class SampledLoop:
         import control
 
         A, column, row = self.opened
-        return control.ss(A, column[:, None], -row[None], [[0.0]], self.period, name="loop_gain")
+        return control.ss(A, column[:, None], -row[None], [[0.0]], self.period, **LOOP_NAMES)
 
     def simulate(self, w: np.ndarray) -> np.ndarray:
         """Outputs (k, 4) of a single loop from rest under inputs ``w`` (k, i)."""
@@ -363,7 +363,8 @@ class SampledLoop:
 
         if self.cycle > 1:
             raise InputError("transfer function: found loops of different rates, which have none; take to_ss()")
-        return control.ss2tf(self.to_ss()[OUTPUTS.index(output), self.inputs.index(by)])
+        channel = self.to_ss()[OUTPUTS.index(output), self.inputs.index(by)]
+        return control.ss2tf(channel, inputs=[by], outputs=[output], name=f"{output}_by_{by}")
 
 
 def close(

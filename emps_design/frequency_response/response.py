@@ -159,7 +159,7 @@ class FrequencyResponse:
         """The response as ``control.FrequencyResponseData``."""
         import control
 
-        return control.frd(self.response, self.w, name=self.name)
+        return control.frd(self.response, self.w, inputs=["force"], outputs=["velocity"], name=self.name)
 
     @classmethod
     def from_frd(cls, frd: control.FrequencyResponseData, std: Any = None) -> FrequencyResponse:

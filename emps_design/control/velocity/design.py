@@ -25,7 +25,7 @@ import numpy as np
 from emps_design.axis import Axis, Controller
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.linear_plant import ActuatorMap
-from emps_design.control.margins import Margins
+from emps_design.control.margins import LOOP_NAMES, Margins
 from emps_design.control.velocity.gains import (
     IP,
     Structure,
@@ -320,13 +320,14 @@ class VelocityLoopDesign:
         if self.structure.form == "pi":
             return self.plant_input_loop()
 
-        return control.tf([self.K_v], [self.axis.mechanics.mass, self.axis.damping + self.gain, 0.0])
+        names = {"inputs": ["velocity_error"], "outputs": ["velocity"], "name": "T_vo"}
+        return control.tf([self.K_v], [self.axis.mechanics.mass, self.axis.damping + self.gain, 0.0], **names)
 
     def plant_input_loop(self) -> control.TransferFunction:
         """L(s), the loop broken at the plant input."""
         import control
 
-        return control.tf([self.gain, self.K_v], [self.axis.mechanics.mass, self.axis.damping, 0.0])
+        return control.tf([self.gain, self.K_v], [self.axis.mechanics.mass, self.axis.damping, 0.0], **LOOP_NAMES)
 
     def closed_loop(self) -> control.TransferFunction:
         """T_vc(s) of (8), from velocity reference to velocity, with the zero of the structure."""
@@ -336,6 +337,9 @@ class VelocityLoopDesign:
         return control.tf(
             [zero, 1.0] if zero else [1.0],
             [self.axis.mechanics.mass / self.K_v, self.t_v + self.axis.damping / self.K_v, 1.0],
+            inputs=["velocity_reference"],
+            outputs=["velocity"],
+            name="T_vc",
         )
 
     @cached_property

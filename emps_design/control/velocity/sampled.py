@@ -24,7 +24,7 @@ import numpy as np
 
 from emps_design.control.discretisation import SampledPlant, frequencies_around, oscillations
 from emps_design.control.linear_plant import POSITION, LinearPlant, linear_plant
-from emps_design.control.margins import Margins, further_down, loop_margins
+from emps_design.control.margins import LOOP_NAMES, Margins, further_down, loop_margins
 from emps_design.control.sampled import OUTPUTS, SampledLoop, close, transfer
 from emps_design.control.velocity.gains import IP, MINUS_3_DB, Structure
 from emps_design.laws import LawKind
@@ -245,7 +245,10 @@ class SampledVelocityLoop:
         numerator, denominator = self.plant.polynomials
         T = self.plant.period
         return control.tf(
-            self.k_v1 * np.polymul(numerator, [1.0 + T / self.t_v, -1.0]), np.polymul(denominator, [1.0, -1.0]), T
+            self.k_v1 * np.polymul(numerator, [1.0 + T / self.t_v, -1.0]),
+            np.polymul(denominator, [1.0, -1.0]),
+            T,
+            **LOOP_NAMES,
         )
 
     def to_dict(self) -> dict[str, Any]:
