@@ -278,9 +278,17 @@ def progress_bar(show: bool = True) -> Iterator[Progress]:
             TextColumn("{task.percentage:3.0f} %"),
             TimeElapsedColumn(),
         )
-        with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task("", total=1.0)
-            yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
+        bar = Bar(*columns, console=Console(stderr=True), transient=True)
+        task = bar.add_task("", total=1.0)
+
+        def draw(stage: str, fraction: float) -> None:
+            bar.start()  # at the first report, and not again
+            bar.update(task, description=stage, completed=fraction)
+
+        try:
+            yield draw
+        finally:
+            bar.stop()
     else:
         stages: list[str] = []
 
