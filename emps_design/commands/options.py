@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
 from emps_design.commands.destinations import AXIS
+from emps_design.control.velocity.gains import FILTER_TEXTS, NO_FILTER, filter_from_text
 from emps_design.errors import InputError
 from emps_design.files import write_text
 from emps_design.laws.estimators import NUMBERS
@@ -65,36 +66,6 @@ def _ends(text: str) -> tuple[float, float]:
 
 
 RANGE: dict[str, Any] = {"parse": _ends, "metavar": "LOW:HIGH", "typed": str | None}
-NOTCH = {"damping": 0.5, "depth": 0.1}  # defaults of a notch with a frequency alone
-EXPECTED = "lowpass:350Hz, notch:48Hz, notch:48Hz:DAMPING:DEPTH or none"
-NO_FILTER = "none"
-
-
-def filter_from_text(text: str) -> Any:
-    """A filter of the velocity loop from its text on the command line; "none" stays.
-
-    >>> filter_from_text("notch:48Hz:0.6:0.2").depth, filter_from_text("none")
-    (0.2, 'none')
-    """
-    from pydantic import ValidationError
-
-    from emps_design.laws.library.cascade import Filter
-
-    if text == NO_FILTER:
-        return text
-    kind, *numbers = text.split(":")
-    if kind not in ("lowpass", "notch") or not numbers or len(numbers) not in ((1,) if kind == "lowpass" else (1, 3)):
-        raise InputError(f"found {text!r}, expected {EXPECTED}")
-    frequency, *shape = numbers
-    try:
-        more = dict(zip(NOTCH, map(float, shape), strict=True)) if shape else NOTCH if kind == "notch" else {}
-        return Filter(kind=kind, frequency=read_frequency(frequency, "Hz"), **more)
-    except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        name = ".".join(map(str, problem["loc"]))
-        raise InputError(f"{text}: {name}: found {problem['input']}, {problem['msg'].lower()}") from error
-    except ValueError as error:
-        raise InputError(f"found {text!r}, expected {EXPECTED}") from error
 
 
 def estimator_from_text(text: str) -> Any:
@@ -170,7 +141,7 @@ class VelocityLoopRequest(Request):
     reference_filter: bool = option(False, "with pi: 1/(1 + t_v s) before the loop")
     filters: tuple[Any, ...] = option(
         (),
-        f"instead of the axis's, again for more: {EXPECTED}",
+        f"instead of the axis's, again for more: {FILTER_TEXTS}",
         flags=("--filter",),
         metavar="FILTER",
         typed=list[str],

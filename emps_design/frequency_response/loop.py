@@ -470,8 +470,8 @@ def retune_on_response(
     phase_margin_deg: float = 60.0,
     at: str = PLACES[0],
     velocity: float = 0.1,
-    structure: Structure | None = None,
-    filters: tuple[Filter, ...] | None = None,
+    structure: Structure | str | None = None,
+    filters: Sequence[Filter | str] | None = None,
     limits: Mapping[str, float] | None = None,
 ) -> VelocityLoopDesign:
     """Return the design whose loop on the measured plant has ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].

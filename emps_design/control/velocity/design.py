@@ -16,6 +16,7 @@ For the implementation there are the difference equation, the largest step below
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -480,8 +481,8 @@ def design_velocity_loop(
     bandwidth: float | None = None,
     phase_margin_deg: float = 60.0,
     velocity: float = 0.1,
-    structure: Structure | None = None,
-    filters: tuple[Filter, ...] | None = None,
+    structure: Structure | str | None = None,
+    filters: Sequence[Filter | str] | None = None,
 ) -> VelocityLoopDesign:
     """Return the velocity loop of ``axis`` that meets a specification, by (7) or its counterpart for "pi".
 

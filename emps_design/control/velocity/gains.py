@@ -15,15 +15,22 @@ a phase margin differ from those of (7). ``derive`` has the steps.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws import table_of
 from emps_design.laws.library import cascade
+from emps_design.quantities import read_frequency
+
+NOTCH = {"damping": 0.5, "depth": 0.1}  # defaults of a notch with a frequency alone
+FILTER_TEXTS = "lowpass:350Hz, notch:48Hz, notch:48Hz:DAMPING:DEPTH or none"
+NO_FILTER = "none"
 
 MINUS_3_DB = 10.0 ** (-3.0 / 20.0)
 
@@ -249,16 +256,54 @@ class Structure:
         return np.where(np.isfinite(lowest), lowest, np.nan)
 
 
-def own_structure(axis: Axis, structure: Structure | None = None) -> Structure:
-    """Return ``structure``, or if None that of the controller of ``axis``: IP except for a cascade with PI."""
+def filter_from_text(text: str) -> cascade.Filter | str:
+    """A filter of the command from its text, such as "notch:48Hz"; "none" stays.
+
+    >>> filter_from_text("notch:48Hz:0.6:0.2").depth, filter_from_text("none")
+    (0.2, 'none')
+    """
+    if text == NO_FILTER:
+        return text
+    kind, *numbers = text.split(":")
+    if kind not in ("lowpass", "notch") or not numbers or len(numbers) not in ((1,) if kind == "lowpass" else (1, 3)):
+        raise InputError(f"found {text!r}, expected {FILTER_TEXTS}")
+    frequency, *shape = numbers
+    try:
+        more = dict(zip(NOTCH, map(float, shape), strict=True)) if shape else NOTCH if kind == "notch" else {}
+        return cascade.Filter(kind=kind, frequency=read_frequency(frequency, "Hz"), **more)
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        name = ".".join(map(str, problem["loc"]))
+        raise InputError(f"{text}: {name}: found {problem['input']}, {problem['msg'].lower()}") from error
+    except ValueError as error:
+        raise InputError(f"found {text!r}, expected {FILTER_TEXTS}") from error
+
+
+def own_structure(axis: Axis, structure: Structure | str | None = None) -> Structure:
+    """Return ``structure``, also by its name; if None that of the controller of ``axis``: IP except for a cascade.
+
+    >>> from emps_design.machines import machine
+    >>> own_structure(machine("emps2018"), "pi").label, own_structure(machine("emps2018")).label
+    ('PI', 'IP')
+    """
+    if isinstance(structure, str):
+        return Structure(structure)
     own = _cascade(axis) if structure is None else None
     return structure or (Structure(own.velocity.form) if own else IP)
 
 
-def own_filters(axis: Axis, filters: tuple[cascade.Filter, ...] | None = None) -> tuple[cascade.Filter, ...]:
-    """Return ``filters``, or if None those of the controller of ``axis``: none except for a cascade."""
-    own = _cascade(axis) if filters is None else None
-    return filters or (own.filters if own else ())
+def own_filters(axis: Axis, filters: Sequence[cascade.Filter | str] | None = None) -> tuple[cascade.Filter, ...]:
+    """Return ``filters``, also as text such as "notch:48Hz"; if None those of the controller of ``axis``, if any.
+
+    >>> from emps_design.machines import machine
+    >>> [stage.frequency for stage in own_filters(machine("emps2018"), ["notch:48Hz", "lowpass:350Hz"])]
+    [48.0, 350.0]
+    """
+    if filters is None:
+        own = _cascade(axis)
+        return own.filters if own else ()
+    read = [filter_from_text(stage) if isinstance(stage, str) else stage for stage in filters]
+    return tuple(stage for stage in read if isinstance(stage, cascade.Filter))
 
 
 def own_gains(axis: Axis) -> tuple[float, float] | None:

@@ -14,7 +14,7 @@ holds for the loop broken at the velocity error.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,8 +91,8 @@ def retune_velocity_loop(
     phase_margin_deg: float = 60.0,
     at: str = "plant-input",
     velocity: float = 0.1,
-    structure: Structure | None = None,
-    filters: tuple[Filter, ...] | None = None,
+    structure: Structure | str | None = None,
+    filters: Sequence[Filter | str] | None = None,
 ) -> VelocityLoopDesign:
     """Return the design whose *sampled* loop has a given phase margin and a given crossover or -3 dB bandwidth.
 
