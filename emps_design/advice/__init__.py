@@ -29,6 +29,7 @@ from emps_design.advice.advice import (
 from emps_design.units import LINEAR, Units
 
 JUDGES: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {**DESIGNS, **RECORDS}
+ADVISED = (*JUDGES, "report")  # the commands whose documents get advice
 
 
 def advise(

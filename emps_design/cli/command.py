@@ -10,6 +10,7 @@ from dataclasses import MISSING, Field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from emps_design.advice import ADVISED
 from emps_design.cli import output
 from emps_design.commands import Reply
 from emps_design.commands.destinations import OVERWRITE, check_named_out, check_out
@@ -95,7 +96,8 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
         answer: Reply = module.answer(make_request(kind, own, given, progress=progress))
     document, axis = answer.document, own.get("axis")
     output.set_units(answer.units)
-    if answer.advised:
+    advised = answer.advised and name in ADVISED
+    if advised:
         records = own.get("records", own.get("record", ()))
         document = output.add_advice(document, axis, [records] if isinstance(records, str | Path) else records)
     if as_json:
@@ -105,7 +107,7 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     output.print_warnings(answer.warnings)
     if answer.reason:
         output.tell(answer.reason)
-    if not as_json and answer.advised:
+    if not as_json and advised:
         output.say_advice(document)
     return answer.status
 

@@ -129,17 +129,22 @@ def test_a_record_format_is_a_reader_and_its_choice(newcomer):
 @recipe("A command")
 def test_a_command_is_one_file_and_a_line(newcomer):
     newcomer.new(
-        "cli/", "mass.py",
-        '"""The moving mass of an axis."""\n\nfrom emps_design.cli.options import AsJson, AxisArgument\n'
-        "from emps_design.cli.output import load_axis, print_json, say\n\n\n"
-        'def command(axis: AxisArgument = "emps2019", as_json: AsJson = False) -> None:\n'
-        "    mass = load_axis(axis).mechanics.mass\n"
-        '    print_json({"mass": mass}) if as_json else say(f"{mass:g} kg")\n',
+        "commands/", "mass.py",
+        '"""The moving mass of an axis."""\n\nfrom dataclasses import dataclass\n\n'
+        "from emps_design.axis import Axis\nfrom emps_design.commands import Reply\n"
+        "from emps_design.commands.options import axis_argument\nfrom emps_design.request import Request\n"
+        "from emps_design.view import Line\n\n\n"
+        '@dataclass(frozen=True)\nclass MassRequest(Request):\n    """An axis."""\n\n'
+        '    axis: Axis = axis_argument("emps2019")\n\n\n'
+        'def answer(request: MassRequest) -> Reply:\n    """Its mass."""\n'
+        "    mass, units = request.axis.mechanics.mass, request.axis.units\n"
+        '    return Reply({"mass": mass}, (Line(units.quantity(mass, "kg")),), units)\n',
     )  # fmt: skip
     newcomer.edit(
         "cli/app.py", '    "Show": {\n', '    "Show": {\n        "mass": "Show the moving mass of an axis.",\n'
     )
-    program = "from emps_design.cli.app import run\nrun(['--help'])\nrun(['mass', 'emps2019', '--json'])"
+    program = "from emps_design.cli.app import run\nrun(['--help'])\nrun(['mass', 'emps2019', '--json'])\nrun(['mass'])"
     said = newcomer.says(program)
+    assert "95.11 kg" in said
     assert "Show the moving mass of an axis." in said
     assert '"mass": 95.1089' in said
