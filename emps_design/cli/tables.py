@@ -195,49 +195,6 @@ def _print_structures(console: Console, document: dict[str, Any]) -> None:
     console.print(table)
 
 
-def print_force(document: dict[str, Any]) -> None:
-    """Print the document of ``force``: stability first, then the limits of k_e1, margins and poles."""
-    console = new_console()
-    what = f"{document['axis']}: sampled force loop, around a velocity loop that runs without contact too,"
-    console.print(_verdict(document["stable"], what), soft_wrap=True)
-    console.print(worst_in_words(document["worst_loop"]), highlight=False, soft_wrap=True)
-    operator = document["operator"]
-    table = new_table(f"Force loop around {loop_in_words(document)}", "", "value", "unit")
-    rows: list[tuple[str, float | None, str]] = [
-        ("k_e1", document["k_e1"], "(m/s)/N"),
-        ("k_c = 1/k_e1, felt at low frequency", document["k_c"], "N/(m/s)"),
-        ("apparent mass, low-frequency match", document["apparent_mass"], "kg"),
-        ("hand k_h", operator["hand"], "N/(m/s)"),
-        ("environment K_env", operator["environment"], "N/m"),
-    ]
-    for label, value, unit in rows:
-        table.add_row(label, number(value, 5), unit)
-    console.print(table)
-
-    limits = new_table(
-        "Largest k_e1 [(m/s)/N]", "operator's force on", "continuous, closed form", "sampled, by its poles"
-    )
-    for label, key in (("the sensor only", "sensor_only"), ("sensor and carriage", "sensor_and_carriage")):
-        limit = document["k_e1_max"][key]
-        limits.add_row(label, number(limit["continuous"], 5), number(limit["sampled"], 5))
-    console.print(limits)
-
-    margins = document["margins"]
-    phase, crossover = number(margins["phase_margin_deg"]), margins["crossover"]
-    at = f"phase {phase} deg at {number(crossover)} rad/s" if crossover is not None else f"phase {phase}: no crossover"
-    words = f"gain {number(margins['gain_margin'])}, {at}" if margins["stable"] else "undefined, the loop is unstable"
-    console.print(f"margins of the sampled force loop: {words}")
-    poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
-    console.print(f"continuous poles: {poles} rad/s")
-    reading = document["paper_reading"]
-    poles = ", ".join(f"{re:.4g}" for re, _ in reading["poles"])
-    console.print(f"the paper's own reading, {reading['loop']}: poles {poles} rad/s; {reading['text']}")
-    console.print(f"sign: {operator['sign']}")
-    if "out" in document:
-        console.print(f"axis file with this controller: {document['out']}", soft_wrap=True)
-    _print_warnings(console, document["warnings"])
-
-
 def _print_mismatch(console: Console, study: dict[str, Any]) -> None:
     errors = ", ".join(f"{name} +-{100 * share:.3g} %" for name, share in study["errors"].items())
     table = new_table(

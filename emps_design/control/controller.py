@@ -29,17 +29,29 @@ from emps_design.control.nested_loops import (
     at_plant_input,
     at_position_error,
     loop_in_words,
+    where_in_words,
     worst_loop,
 )
 from emps_design.control.sampled import MARGINAL, SampledLoop, close, transfer
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.load_range import LoadRange, relative_mismatch
 from emps_design.control.verdict import Case, cases_of
+from emps_design.control.view import Row, number, worst_in_words
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
-from emps_design.notebook import table
+from emps_design.view import Line, Table, View, Viewed
 
 LOOPS = ("velocity", "position", "whole")
+ROWS: tuple[Row, ...] = (
+    ("crossover", "crossover", "rad/s", 1.0),
+    ("phase margin", "phase_margin_deg", "deg", 1.0),
+    ("gain margin", "gain_margin", "ratio", 1.0),
+    ("delay margin", "delay_margin", "ms", 1e3),
+    ("disk margin", "disk_margin", "", 1.0),
+    ("bandwidth, -3 dB", "bandwidth", "rad/s", 1.0),
+    ("natural frequency", "natural_frequency", "rad/s", 1.0),
+    ("damping", "damping", "", 1.0),
+)
 MOST_GAIN = 1e4  # a larger gain margin of a continuous loop counts as unbounded
 FAR = 5.0  # times the larger of crossover and bandwidth: faster poles do not count as the loop's own
 _REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
@@ -94,7 +106,7 @@ Loops = dict[str, LoopMargins | None]
 
 
 @dataclass(frozen=True)
-class ControllerMargins:
+class ControllerMargins(Viewed):
     """The ``loops`` of the controller of ``axis`` by name, None for those it does not have.
 
     ``others`` are the same for the other machines of a load range or mismatch, each with its differences from the axis;
@@ -147,20 +159,48 @@ class ControllerMargins:
             document["reason"] = self.reason
         return {**document, "warnings": list(self.warnings)}
 
-    def _repr_html_(self) -> str:
+    def view(self) -> View:
+        """The verdict, each loop sampled and continuous, and each on every machine."""
+        verdict, style = ("stable", "good") if self.stable else ("UNSTABLE", "bad")
+        loops = {f"{name} loop": loop for name, loop in self.loops.items() if loop is not None}
+        continuous = {name: loop.continuous for name, loop in loops.items() if loop.continuous is not None}
+        units = self.axis.units
+        return (
+            Line(f"{self.axis.name}: the loops of its {self.axis.controller.kind} controller are {verdict}", style),
+            Line(worst_in_words(self.worst.to_dict(), units)),
+            _side_by_side(loops, "Sampled, as the drive runs it"),
+            _side_by_side(continuous, "Continuous, with every lag of the axis"),
+            *([self._on_every_machine(list(loops))] if self.others else []),
+            *(Line(f"- {units.text(warning)}") for warning in self.warnings),
+        )
+
+    def _on_every_machine(self, names: list[str]) -> Table:
+        """Phase and gain margin of the loops ``names`` on every other machine."""
         rows = [
-            (f"{name} loop", *(value if loop.stable else "unstable" for value in _row(loop)))
-            for name, loop in self.loops.items()
-            if loop is not None
+            (self.axis.units.words(where_in_words(where)), *(_in_short(loop) for loop in loops.values() if loop))
+            for where, loops in self.others
         ]
-        heads = ("loop", "phase margin [deg]", "crossover [rad/s]", "gain margin", "bandwidth [rad/s]", "damping")
-        verdict = "stable" if self.stable else "UNSTABLE"
-        return table(f"{self.axis.name}: its controller is {verdict}", rows, heads, missing="unbounded")
+        return Table(("", *names), rows, "On every machine asked about: phase margin, gain margin")
 
 
-def _row(loop: LoopMargins) -> tuple[float | None, ...]:
+def _side_by_side(loops: Mapping[str, LoopMargins], title: str) -> Table:
+    """The margins of ``loops`` by name."""
+    columns = [loop.to_dict() for loop in loops.values()]
+    rows = [("broken at the", *(loop["broken"] for loop in columns), "")]
+    for label, key, unit, scale in ROWS:
+        cells = [
+            number(None if loop[key] is None else scale * loop[key], 4, "-") if loop["stable"] else "undefined"
+            for loop in columns
+        ]
+        rows.append((label, *cells, unit))
+    return Table(("", *loops, "unit"), rows, title)
+
+
+def _in_short(loop: LoopMargins) -> str:
     margins = loop.margins
-    return margins.phase_margin_deg, margins.crossover, margins.gain_margin, loop.bandwidth, loop.damping
+    if not loop.stable:
+        return "unstable"
+    return f"{number(margins.phase_margin_deg, 3)} deg, {number(margins.gain_margin, 3)}"
 
 
 def _plain(loops: Loops) -> dict[str, Any]:

@@ -40,9 +40,10 @@ from emps_design.control.sampled import SampledLoop, close
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_law
 from emps_design.control.velocity.specification import closed_form_in_words
+from emps_design.control.view import force_view
 from emps_design.errors import InputError
-from emps_design.notebook import table
 from emps_design.quantities import check_magnitude
+from emps_design.view import View, Viewed
 
 if TYPE_CHECKING:
     import control
@@ -98,7 +99,7 @@ def first_instability(stable: Callable[[np.ndarray], np.ndarray], start: float) 
 
 
 @dataclass(frozen=True)
-class ForceLoopDesign:
+class ForceLoopDesign(Viewed):
     """A force gain around a velocity loop, in contact with an operator: stability first, then margins and limits.
 
     ``k_e1`` [(m/s)/N]; ``hand`` [N/(m/s)]; ``environment`` [N/m]; ``sensor_delay`` samples between force and its
@@ -362,17 +363,9 @@ class ForceLoopDesign:
             "warnings": list(self.warnings),
         }
 
-    def _repr_html_(self) -> str:
-        rows = (
-            ("k_e1", self.k_e1, "(m/s)/N"),
-            ("k_c = 1/k_e1", self.k_c, "N/(m/s)"),
-            ("largest k_e1, continuous", self.k_e1_max_continuous, "(m/s)/N"),
-            ("largest k_e1, sampled", self.k_e1_max_sampled, "(m/s)/N"),
-            ("gain margin, sampled", self.margins.gain_margin if self.stable else "undefined", "ratio"),
-        )
-        verdict = "stable" if self.worst.margins.stable else "UNSTABLE"
-        axis = self.velocity_loop.axis
-        return axis.units.text(table(f"{axis.name}: the sampled force loop is {verdict}", rows, missing="unbounded"))
+    def view(self) -> View:
+        """What ``force`` shows of it."""
+        return force_view(self.to_dict(), self.velocity_loop.axis.units)
 
 
 def design_force_loop(

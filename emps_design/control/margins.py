@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.notebook import table
+from emps_design.control.view import margins_view
+from emps_design.view import View, Viewed
 
 KEYS = (
     "phase_margin_deg",
@@ -35,7 +36,7 @@ Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Margins:
+class Margins(Viewed):
     """Margins of one loop; None where a margin is unbounded, or where the closed loop is unstable.
 
     ``phase_margin_deg`` [deg], ``crossover`` [rad/s] (where that margin is smallest), ``delay_margin`` [s],
@@ -76,16 +77,9 @@ class Margins:
             del document["disk_margin"]  # of sampled loops only
         return document
 
-    def _repr_html_(self) -> str:
-        rows = (
-            ("phase margin", self.phase_margin_deg, "deg"),
-            ("crossover", self.crossover, "rad/s"),
-            ("delay margin", self.delay_margin, "s"),
-            ("delay margin", self.delay_margin_samples, "samples"),
-            ("gain margin", self.gain_margin, "ratio"),
-            ("gain margin", self.gain_margin_db, "dB"),
-        )
-        return table("stable" if self.stable else "UNSTABLE", rows, missing="unbounded" if self.stable else "undefined")
+    def view(self) -> View:
+        """The margins with their units."""
+        return margins_view(self.to_dict())
 
 
 def margin_arrays(

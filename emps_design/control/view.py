@@ -1,7 +1,7 @@
-"""What ``gains`` shows: the verdict first, then gains, margins at each place, limits and structures.
+"""What designs of loops show: the verdict first, then gains, margins at each place, limits and structures.
 
-Beside the velocity loop: a suggested filter, the position loop around it, the range of loads, and the margins on
-measured responses with their 95 % bands.
+Beside the velocity loop: a suggested filter, the position loop around it, the range of loads, the margins on measured
+responses with their 95 % bands, and the force loop around it.
 """
 
 from __future__ import annotations
@@ -405,3 +405,59 @@ def _with_band(value: float | None, band: list[float] | None, scale: float) -> s
     if value is None:
         return "-"
     return f"{scale * value:.4g}" + (f" [{scale * band[0]:.4g}, {scale * band[1]:.4g}]" if band else "")
+
+
+def force_view(document: dict[str, Any], units: Units) -> View:
+    """What the document of ``force`` shows: stability, then gains and operator, the limits of k_e1, margins, poles."""
+    operator, limits, reading = document["operator"], document["k_e1_max"], document["paper_reading"]
+    what = f"{document['axis']}: sampled force loop, around a velocity loop that runs without contact too,"
+    rows = [
+        (units.words(label), number(value, 5), units.unit(unit))
+        for label, value, unit in (
+            ("k_e1", document["k_e1"], "(m/s)/N"),
+            ("k_c = 1/k_e1, felt at low frequency", document["k_c"], "N/(m/s)"),
+            ("apparent mass, low-frequency match", document["apparent_mass"], "kg"),
+            ("hand k_h", operator["hand"], "N/(m/s)"),
+            ("environment K_env", operator["environment"], "N/m"),
+        )
+    ]
+    by_place = [
+        (units.words(label), *(number(limits[key][kind], 5) for kind in ("continuous", "sampled")))
+        for label, key in (("the sensor only", "sensor_only"), ("sensor and carriage", "sensor_and_carriage"))
+    ]
+    headings = (units.words("operator's force on"), "continuous, closed form", "sampled, by its poles")
+    poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
+    paper = ", ".join(f"{re:.4g}" for re, _ in reading["poles"])
+    return (
+        verdict_line(document["stable"], what),
+        Line(worst_in_words(document["worst_loop"], units)),
+        Table(("", "value", "unit"), rows, f"Force loop around {loop_in_words(document)}"),
+        Table(headings, by_place, f"Largest k_e1 [{units.unit('(m/s)/N')}]"),
+        Line(f"margins of the sampled force loop: {_in_one_line(document['margins'])}"),
+        Line(f"continuous poles: {poles} rad/s"),
+        Line(f"the paper's own reading, {reading['loop']}: poles {paper} rad/s"),
+        Line(units.text(reading["text"])),
+        Line(f"sign: {operator['sign']}"),
+        *([Line(f"axis file with this controller: {document['out']}")] if "out" in document else []),
+        *warning_lines(document["warnings"], units),
+    )
+
+
+def _in_one_line(margins: dict[str, Any]) -> str:
+    """The gain and phase margins of a loop."""
+    if not margins["stable"]:
+        return "undefined, the loop is unstable"
+    phase, crossover = number(margins["phase_margin_deg"]), margins["crossover"]
+    at = f"phase {phase}: no crossover" if crossover is None else f"phase {phase} deg at {number(crossover)} rad/s"
+    return f"gain {number(margins['gain_margin'])}, {at}"
+
+
+def margins_view(margins: dict[str, Any]) -> View:
+    """What the margins of one loop show."""
+    missing = "unbounded" if margins["stable"] else "undefined"
+    rows = [
+        (label, _scaled(margins[key], scale, missing), unit)
+        for label, key, unit, scale in MARGINS
+        if key in margins and (key != "gain_reduction_margin" or margins[key] is not None)
+    ]
+    return (Table(("", "value", "unit"), rows, "stable" if margins["stable"] else "UNSTABLE"),)

@@ -39,10 +39,12 @@ def test_a_record_and_what_is_found_in_it(record):
 
 def test_designs_and_their_margins():
     design = ed.design_velocity_loop(AXIS, crossover=100.0, phase_margin_deg=60.0)
-    assert "the sampled loop is stable" in design._repr_html_()
-    assert "<td>delay margin</td><td>3.8" in design.sampled.margins._repr_html_()
+    assert "sampled velocity loop, IP, is stable" in design._repr_html_()
+    assert '<td>delay margin</td><td class="number">3.8' in design.sampled.margins._repr_html_()
     assert "unbounded" in design.plant_input._repr_html_()
-    assert "the sampled force loop is stable" in ed.design_force_loop(design, 0.005)._repr_html_()
+    force = ed.design_force_loop(design, 0.005)
+    assert "sampled force loop, around a velocity loop that runs without contact too, is stable" in force._repr_html_()
+    assert "Largest k_e1" in str(force)
     law = assess_impedance(AXIS, 50.0, 100.0, 0.02, plants=0)
     assert law._repr_html_().startswith("<p>emps2019, impedance law, creeping: the released carriage creeps on")
     fast = ed.design_velocity_loop(AXIS, crossover=500.0, phase_margin_deg=80.0)

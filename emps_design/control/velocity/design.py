@@ -48,11 +48,12 @@ from emps_design.control.velocity.specification import (
     proposal_in_words,
     room_in_words,
 )
+from emps_design.control.view import gains_view
 from emps_design.laws import LawKind
 from emps_design.laws.estimators import estimator_response, polynomials
 from emps_design.laws.library import cascade
 from emps_design.laws.library.cascade import Filter, filter_polynomials
-from emps_design.notebook import table
+from emps_design.view import View, Viewed
 
 if TYPE_CHECKING:
     import control
@@ -177,7 +178,7 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
 
 
 @dataclass(frozen=True)
-class VelocityLoopDesign:
+class VelocityLoopDesign(Viewed):
     """Gains of the velocity loop, the specification, and the margins at each place where the loop can be broken.
 
     ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` is the specification; ``retuned_at`` names the place at which the
@@ -459,20 +460,11 @@ class VelocityLoopDesign:
             "warnings": list(self.warnings),
         }
 
-    def _repr_html_(self) -> str:
-        sampled = self.sampled.margins
-        rows = (
-            ("k_v1", self.k_v1, "V/(m/s)"),
-            ("t_v", self.t_v, "s"),
-            ("crossover of T_vo", self.crossover, "rad/s"),
-            ("phase margin of T_vo", self.phase_margin_deg, "deg"),
-            ("bandwidth of T_vc, -3 dB", self.bandwidth, "rad/s"),
-            ("sampled: phase margin at the plant input", sampled.phase_margin_deg, "deg"),
-            ("sampled: crossover at the plant input", sampled.crossover, "rad/s"),
-        )
-        verdict = "stable" if self.sampled.stable else "UNSTABLE"
-        title = f"{self.axis.name}: the sampled loop is {verdict}"
-        return self.axis.units.text(table(title, rows, missing="undefined"))
+    def view(self) -> View:
+        """What ``gains`` shows of it."""
+        from emps_design.control.velocity.comparison import gains_document
+
+        return gains_view(gains_document(self), self.axis.units)
 
 
 def design_velocity_loop(

@@ -1,0 +1,97 @@
+"""The force loop around the velocity loop: stability in contact with an operator, margins, largest k_e1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from emps_design.commands import Reply
+from emps_design.commands.options import VelocityLoopRequest, write_axis
+from emps_design.control.view import force_view
+from emps_design.errors import InputError
+from emps_design.request import Request, option
+
+if TYPE_CHECKING:
+    from emps_design.control.velocity.design import VelocityLoopDesign
+
+PAPER = 100.0  # rad/s, crossover of the paper's velocity loop
+
+
+@dataclass(frozen=True)
+class ContactRequest(Request):
+    """A force gain, and the operator in contact."""
+
+    k_e1: float | None = option(None, "force-loop gain [(m/s)/N]", unit="(m/s)/N")
+    hand: float | None = option(None, "viscous hand k_h, tau_e = -k_h qd [N/(m/s)]", unit="N/(m/s)")
+    environment: float | None = option(None, "wall K_env, tau_e = -K_env q [N/m]", unit="N/m")
+    sensor_only: bool = option(False, "the operator's force does not act on the carriage, as in the paper")
+    sensor_delay: int = option(0, "samples between force and its reading", limits=(0, 1000))
+
+
+@dataclass(frozen=True)
+class ForceRequest(VelocityLoopRequest, ContactRequest):
+    """What ``force`` takes: the contact, and the velocity loop inside."""
+
+    @property
+    def gain(self) -> float:
+        """The force gain [(m/s)/N] of the request, or that of the axis."""
+        gain = self.machine.controller.k_e1 if self.k_e1 is None else self.k_e1
+        if gain is None:
+            raise InputError("k_e1: found none, expected `k_e1` in (m/s)/N, or k_e1 in the axis file's [controller]")
+        return gain
+
+
+def answer(request: ForceRequest) -> Reply:
+    """Stability of the force loop in contact, its margins, and the largest force gain."""
+    from emps_design.control.force import design_force_loop
+    from emps_design.control.velocity.gains import IP
+    from emps_design.laws.library import ip_velocity
+
+    k_e1, hand = request.gain, request.hand
+    notes = []
+    if hand is None and request.environment is None:
+        hand = 1.0 / k_e1 if k_e1 > 0.0 else 0.0
+        notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {hand:g} N/(m/s)")
+    loop, origin = _velocity_loop(request)
+    notes += [origin] if origin else []
+    design = design_force_loop(
+        loop, k_e1, hand or 0.0, request.environment or 0.0, request.sensor_delay, not request.sensor_only
+    )
+    if request.out is not None and (loop.structure != IP or loop.filters):
+        raise InputError(
+            f"`out`: found a {loop.structure.label} velocity loop{' with filters' * bool(loop.filters)}, expected IP "
+            "alone: no [controller] has k_e1 around another; make the drive's velocity reference k_e1 times the force"
+        )
+    document: dict[str, Any] = design.to_dict()
+    document["warnings"] += notes
+    if not design.reason and request.out is not None:
+        table = {"kind": ip_velocity.LAW.name, "k_v1": loop.k_v1, "t_v": loop.t_v, "k_e1": k_e1}
+        document["out"] = write_axis(request.out, request.machine.replace(controller=table))
+    if design.reason:
+        document["nearest"], document["reason"] = design.nearest_stable, design.reason
+    units = request.axis.units
+    return Reply(document, force_view(document, units), units, design.reason)
+
+
+def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, str]:
+    """The velocity loop inside: as specified, of the axis file, or the paper's; and a note if it is not specified."""
+    from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
+    from emps_design.control.velocity.gains import own_filters, own_gains, own_structure
+
+    machine, structure, crossover = request.machine, request.wanted_structure, request.crossover
+    note, own = "", own_gains(machine)
+    if crossover is None and request.bandwidth is None:
+        if own is not None:
+            why = "goes with `crossover` or `bandwidth`; without them the velocity loop is that of the axis file"
+            request.refuse(["phase_margin", "structure", "reference_filter", "filters"], why)
+            structure, filters = own_structure(machine), own_filters(machine)
+            loop = VelocityLoopDesign(
+                machine, *own, {}, velocity=request.velocity, structure=structure, filters=filters
+            )
+            return loop, "velocity loop: gains, structure and filters of the axis file"
+        crossover = PAPER
+        note = f"velocity loop: designed for the paper's 100 rad/s crossover and {request.phase_margin:g} deg"
+    loop = design_velocity_loop(
+        machine, crossover, request.bandwidth, request.phase_margin, request.velocity, structure, request.wanted_filters
+    )
+    return loop, note
