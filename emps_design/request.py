@@ -28,7 +28,8 @@ class Option:
     ``unit`` is that of a linear axis with a voltage command ("" for a ratio): the number is checked against its
     plausible range. ``limits`` are the least and the largest number, ``choices`` the words allowed. ``flags`` replace
     the flag made of the name. ``parse`` reads the text of the command line; ``read`` makes the value from a name or a
-    path and the axis of the request. ``writes`` is the kind of file written to the path.
+    path and the axis of the request. ``writes`` is the kind of file written to the path, the kinds by suffix, such as
+    ``.csv``, or those by the name of each file written to a folder.
     """
 
     help: str = ""
@@ -156,7 +157,8 @@ Answer = TypeVar("Answer")
 def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
     """Let a function whose last parameter is a request be called with the fields of the request.
 
-    ``help()`` shows every option with its unit and meaning. A request itself is taken as it is.
+    ``help()`` shows every option with its unit and meaning. A request itself is taken as it is. Further keywords may
+    follow the request.
 
     >>> @dataclass(frozen=True)
     ... class Push(Request):
@@ -172,17 +174,18 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
     """
 
     def decorate(function: Callable[..., Answer]) -> Callable[..., Answer]:
+        before, after = _around_request(function)
         signature = _signature(kind, function)
-        before = len(inspect.signature(function).parameters) - 1  # such as self
 
         @functools.wraps(function)
         def call(*arguments: Any, **named: Any) -> Answer:
-            if len(arguments) == before + 1 and not named and isinstance(arguments[-1], kind):
-                return function(*arguments)
+            if len(arguments) == len(before) + 1 and isinstance(arguments[-1], kind):
+                return function(*arguments, **named)
             values = signature.bind(*arguments, **named).arguments
-            passed = [values.pop(name) for name in list(signature.parameters)[:before]]
+            passed = [values.pop(parameter.name) for parameter in before]
             progress = values.pop("progress", None) or no_progress
-            return function(*passed, make_request(kind, values, values, progress=progress))
+            more = {name: value for parameter in after for name, value in values.pop(parameter.name, {}).items()}
+            return function(*passed, make_request(kind, values, values, progress=progress), **more)
 
         described: Any = call
         described.__signature__ = signature
@@ -193,9 +196,16 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
     return decorate
 
 
+def _around_request(function: Callable[..., Any]) -> tuple[list[inspect.Parameter], list[inspect.Parameter]]:
+    """The parameters of ``function`` before its request, such as self, and after it: further keywords, if any."""
+    own = list(inspect.signature(function).parameters.values())
+    last = len(own) - (own[-1].kind is inspect.Parameter.VAR_KEYWORD)
+    return own[: last - 1], own[last:]
+
+
 def _signature(kind: type[Request], function: Callable[..., Any]) -> inspect.Signature:
-    """The signature of ``function`` with the fields of ``kind`` in the place of its last parameter, the request."""
-    own = inspect.signature(function)
+    """The signature of ``function`` with the fields of ``kind`` in the place of its request."""
+    before, after = _around_request(function)
     options = [
         inspect.Parameter(
             entry.name,
@@ -206,8 +216,8 @@ def _signature(kind: type[Request], function: Callable[..., Any]) -> inspect.Sig
         for entry in options_of(kind)
     ]
     progress = inspect.Parameter("progress", inspect.Parameter.KEYWORD_ONLY, default=None, annotation="Progress")
-    parameters = [*list(own.parameters.values())[:-1], *options, progress]
-    return inspect.Signature(parameters, return_annotation=own.return_annotation)
+    returned = inspect.signature(function).return_annotation
+    return inspect.Signature([*before, *options, progress, *after], return_annotation=returned)
 
 
 def types_of(kind: type[Request]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from emps_design.advice import ADVISED
 from emps_design.cli import output
 from emps_design.commands import Reply
-from emps_design.commands.destinations import OVERWRITE, check_named_out, check_out
+from emps_design.commands.destinations import OVERWRITE, check_folder, check_named_out, check_out
 from emps_design.errors import InputError
 from emps_design.request import OPTION, Option, Request, flags_of, make_request, options_of, types_of
 
@@ -103,6 +103,8 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     if advised:
         records = own.get("records", own.get("record", ()))
         document = output.add_advice(document, axis, [records] if isinstance(records, str | Path) else records)
+    if answer.write is not None:
+        document["out"] = answer.write(f"{output.json_text(document)}\n")
     if as_json:
         output.print_json(document)
     else:
@@ -127,8 +129,10 @@ def _check_outputs(kind: type[Request], values: Mapping[str, Any], force: bool) 
         about, path, flag = entry.metadata[OPTION], values.get(entry.name), flags_of(entry)[0]
         if isinstance(about.writes, str):
             check_out(path, about.writes, inputs, force, flag)
-        else:
+        elif all(name.startswith(".") for name in about.writes):
             check_named_out(path, about.writes, inputs, force, flag)
+        else:
+            check_folder(path, about.writes, inputs, force)
     if force and not any(values.get(entry.name) for entry in outputs):
         raise InputError("--force: goes with a file to write; there is none to overwrite")
 

@@ -15,8 +15,18 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.comanipulation.run import run_many, run_task
-from emps_design.comanipulation.study import MismatchStudy, box_of, mismatch_study, with_errors
+from emps_design.comanipulation.study import (
+    PLANTS,
+    SEED,
+    TWO_QUADRANT,
+    WORKERS,
+    MismatchStudy,
+    box_of,
+    mismatch_study,
+    with_errors,
+)
 from emps_design.comanipulation.task import fitted_task
+from emps_design.comanipulation.view import impedance_view
 from emps_design.comanipulation.wall import WallLimit, wall_limit
 from emps_design.control.impedance.law import (
     LOW_FREQUENCY,
@@ -42,7 +52,6 @@ from emps_design.control.impedance.passivity import (
 from emps_design.control.impedance.robustness import (
     VERDICTS,
     break_away,
-    check_mismatch,
     corner_errors,
     coulomb_factor_without_creep,
     creep_speed,
@@ -59,8 +68,8 @@ from emps_design.control.nested_loops import NestedLoop, worst_loop
 from emps_design.control.sampled import MARGINAL
 from emps_design.errors import SpecificationError, UnstableError
 from emps_design.laws.friction_model import PARAMETERS, left_out
-from emps_design.notebook import table
-from emps_design.progress import Progress
+from emps_design.request import Request, option, takes
+from emps_design.view import View, Viewed
 
 FIRST = (1, 9, 41)  # where the estimates of a proposed law are split into batches, simulated in turn
 DRAWN, FEW = 200, 4  # random estimates of a proposed law; on an axis with effects, which takes longer to simulate
@@ -155,7 +164,7 @@ def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class ImpedanceAssessment:
+class ImpedanceAssessment(Viewed):
     """Result of :func:`assess_impedance`; ``study`` is None without a mismatch."""
 
     axis: Axis
@@ -375,19 +384,9 @@ class ImpedanceAssessment:
         document["warnings"] = cautions_of(self, document)
         return document
 
-    def _repr_html_(self) -> str:
-        felt = self._felt(self.law)
-        rows = (
-            ("M_a", self.law.mass, "kg"),
-            ("B", self.law.damping, "N/(m/s)"),
-            ("filter", self.law.filter, "rad/s"),
-            ("felt: apparent mass", felt.mass, "kg"),
-            ("felt: apparent damping", felt.damping, "N/(m/s)"),
-            ("felt: Coulomb left", felt.coulomb_left, "N"),
-            ("largest pole at the corners of the mismatch", self.worst_radius, ""),
-            ("mismatch", None if self.mismatch is None else 100.0 * self.mismatch, "%"),
-        )
-        return self.axis.units.text(table(f"{self.axis.name}, impedance law, {self.headline}", rows))
+    def view(self) -> View:
+        """What ``impedance`` shows of it."""
+        return impedance_view(self.to_dict(), self.axis.units)
 
     def _felt(self, law: ImpedanceLaw) -> ApparentImpedance:
         """Apparent impedance in the direction with the larger remaining Coulomb force, which resists or pushes."""
@@ -421,32 +420,43 @@ class ImpedanceAssessment:
         }
 
 
+@dataclass(frozen=True)
+class AssessmentRequest(Request):
+    """What :func:`assess_impedance` takes beside axis, apparent mass and damping."""
+
+    mismatch: float | None = option(
+        None, "relative error of the estimates for the study of section IV-B, None: no study"
+    )
+    filter: float | None = option(None, "low-pass of acceleration and current [rad/s], see impedance_law")
+    plants: int = option(200, **PLANTS)
+    seed: int = option(0, **SEED)
+    two_quadrant: bool | None = option(None, **TWO_QUADRANT)
+    workers: int = option(1, **WORKERS)
+
+
+@takes(AssessmentRequest)
 def assess_impedance(
-    axis: Axis,
-    mass: float,
-    damping: float,
-    mismatch: float | None = None,
-    filter: float | None = None,
-    plants: int = 200,
-    seed: int = 0,
-    two_quadrant: bool | None = None,
-    workers: int = 1,
-    progress: Progress | None = None,
-    **options: Any,
+    axis: Axis, mass: float, damping: float, request: AssessmentRequest, **options: Any
 ) -> ImpedanceAssessment:
     """Assess the law with M_a = ``mass`` [kg], B = ``damping`` [N/(m/s)] on ``axis``; see :class:`ImpedanceAssessment`.
 
-    ``mismatch`` adds the study of section IV-B; ``options`` go to :class:`ImpedanceLaw`. Raises
-    :class:`InputError` for numbers out of range.
+    ``options`` go to :class:`ImpedanceLaw`. Raises :class:`InputError` for numbers out of range.
 
     >>> from emps_design.machines import machine
     >>> document = assess_impedance(machine("emps2018"), 50.0, 100.0).to_dict()
     >>> {name: round(value, 1) for name, value in document["printed"].items()}
     {'apparent_mass': 73.8, 'apparent_damping': 235.8, 'coulomb_left': 6.3}
     """
-    law = impedance_law(axis, mass, damping, filter, **options)
-    study = None
+    law, mismatch, study = impedance_law(axis, mass, damping, request.filter, **options), request.mismatch, None
     if mismatch is not None:
-        check_mismatch(mismatch)
-        study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, None, workers, progress)
+        study = mismatch_study(
+            axis,
+            law,
+            mismatch,
+            request.plants,
+            request.seed,
+            request.two_quadrant,
+            workers=request.workers,
+            progress=request.progress,
+        )
     return ImpedanceAssessment(axis, law, mismatch, study)

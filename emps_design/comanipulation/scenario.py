@@ -11,14 +11,14 @@ from typing import Any
 from emps_design.axis import Axis
 from emps_design.comanipulation.assessment import ImpedanceAssessment
 from emps_design.comanipulation.run import TaskRun, run_task
-from emps_design.comanipulation.study import MismatchStudy, mismatch_study
-from emps_design.comanipulation.task import fitted_task, guided_task, pushed_task, usual_scale
+from emps_design.comanipulation.study import PLANTS, SEED, TWO_QUADRANT, WORKERS, MismatchStudy, mismatch_study
+from emps_design.comanipulation.task import Task, fitted_task, guided_task, pushed_task, usual_scale
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, equivalent_impedance, impedance_law
 from emps_design.control.impedance.robustness import break_away
 from emps_design.control.nested_loops import worst_loop
 from emps_design.laws.library import ip_velocity
-from emps_design.progress import Progress
 from emps_design.quantities import one_two_five
+from emps_design.request import Request, option, takes
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
 OF_MASS = 115.7315  # kg, mass of their carriage
@@ -80,57 +80,73 @@ class Comanipulation:
         }
 
 
-def run_comanipulation(
-    axis: Axis,
-    mismatch: float = 0.02,
-    seed: int = 0,
-    plants: int = 200,
-    mass: float | None = None,
-    damping: float | None = None,
-    filter: float | None = None,
-    force: float | None = None,
-    duration: float | None = None,
-    two_quadrant: bool | None = None,
-    workers: int = 1,
-    progress: Progress | None = None,
-    **options: Any,
-) -> Comanipulation:
+@dataclass(frozen=True)
+class ComanipulationRequest(Request):
+    """What :func:`run_comanipulation` takes beside the axis."""
+
+    mismatch: float = option(0.02, "largest relative error of an estimate")
+    seed: int = option(0, **SEED)
+    plants: int = option(200, **PLANTS)
+    mass: float | None = option(None, "M_a [kg], None: that of the axis's impedance controller, else of usual_law")
+    damping: float | None = option(None, "B [N/(m/s)], None: likewise")
+    filter: float | None = option(None, "low-pass of acceleration and current [rad/s], see impedance_law")
+    force: float | None = option(None, "push the carriage to and fro [N], None: a compliant hand guides it")
+    duration: float | None = option(None, "of the task [s], None: what the slowest mode needs, see fitted_task")
+    two_quadrant: bool | None = option(None, **TWO_QUADRANT)
+    workers: int = option(1, **WORKERS)
+
+
+@takes(ComanipulationRequest)
+def run_comanipulation(axis: Axis, request: ComanipulationRequest, **options: Any) -> Comanipulation:
     """Simulate the co-manipulation task on ``axis`` with estimates off by up to ``mismatch``.
 
-    M_a [kg] and B [N/(m/s)] come from the arguments, else from the axis's impedance controller, else from
-    :func:`usual_law`, with a warning. A compliant hand guides the carriage; with ``force`` [N] it is pushed to and fro
-    instead. ``duration`` [s] is by default what the slowest mode needs (:func:`fitted_task`). ``options`` go to
-    :class:`ImpedanceLaw` (force_sensor, coulomb_factor, ...).
+    A warning names the parameters that :func:`usual_law` gives. ``options`` go to :class:`ImpedanceLaw` (force_sensor,
+    coulomb_factor, ...).
 
     >>> from emps_design.machines import machine
     >>> document = run_comanipulation(machine("emps2018"), mismatch=0.02, plants=0).to_dict()
     >>> document["verdict"], round(document["transparency"]["apparent_mass"])
     ('creeping', 50)
     """
+    mismatch, seed = request.mismatch, request.seed
     controller, (usual_mass, usual_damping) = axis.controller, usual_law(axis)
     taken = []
-    mass = controller.mass if mass is None else mass
+    mass = controller.mass if request.mass is None else request.mass
     if mass is None:
         mass = usual_mass
         taken.append(f"M_a = {mass:g} kg")
-    damping = controller.damping if damping is None else damping
+    damping = controller.damping if request.damping is None else request.damping
     if damping is None:
         damping = usual_damping
         taken.append(f"B = {damping:g} N/(m/s)")
-    law = impedance_law(axis, mass, damping, filter, **options)
-    period = axis.sampling.period
-    if duration is None:
-        task = fitted_task(axis, law, mismatch, force)
-    elif force is None:
-        task = guided_task(period, duration, scale=usual_scale(axis))
-    else:
-        task = pushed_task(period, duration, force)
+    law = impedance_law(axis, mass, damping, request.filter, **options)
+    task = _task(axis, law, request)
     nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
-    study = mismatch_study(axis, law, mismatch, plants, seed, two_quadrant, task, workers, progress)
+    study = mismatch_study(
+        axis,
+        law,
+        mismatch,
+        request.plants,
+        seed,
+        request.two_quadrant,
+        task,
+        request.workers,
+        progress=request.progress,
+    )
     words = (
         f"{' and '.join(taken)}, not given: as in the paper's experiments, in proportion to the mass" if taken else ""
     )
     return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, words)
+
+
+def _task(axis: Axis, law: ImpedanceLaw, request: ComanipulationRequest) -> Task:
+    """The task of the request."""
+    period, force, duration = axis.sampling.period, request.force, request.duration
+    if duration is None:
+        return fitted_task(axis, law, request.mismatch, force)
+    if force is None:
+        return guided_task(period, duration, scale=usual_scale(axis))
+    return pushed_task(period, duration, force)
 
 
 def usual_law(axis: Axis) -> tuple[float, float]:

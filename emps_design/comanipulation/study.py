@@ -20,15 +20,22 @@ from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.passivity import Clock, impedance_error, numbers, radius_of, sampled_loops
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
 from emps_design.control.sampled import MARGINAL
-from emps_design.errors import InputError
 from emps_design.laws.friction_model import PARAMETERS
-from emps_design.progress import Progress
+from emps_design.request import Request, option, takes
 
 MOST = 1_000_000  # plants; more would not fit into memory
 TOGETHER = 2_500  # plants whose poles are computed in one call, which cannot be interrupted
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
 ALIKE = [0, 1, 1, 2, 2]  # places of errors of mass, viscous and Coulomb friction that are the same either way
 BOUNDED = (*CALM, "creeping")  # neither a limit cycle nor unstable
+
+# Options of a study.
+PLANTS: dict[str, Any] = {"help": "Monte-Carlo plants beside the corners", "limits": (0, MOST)}
+SEED: dict[str, Any] = {"help": "seed of the Monte-Carlo", "limits": (0, 2**63)}
+WORKERS: dict[str, Any] = {"help": "threads, which change the time and not the result", "limits": (1, 256)}
+TWO_QUADRANT: dict[str, Any] = {
+    "help": "errors of each of the five parameters of (5), None: if the axis's friction differs by direction"
+}
 
 
 NOT_VARIED = {
@@ -206,22 +213,24 @@ class MismatchStudy:
         }
 
 
-def mismatch_study(
-    axis: Axis,
-    law: ImpedanceLaw,
-    mismatch: float = 0.02,
-    plants: int = 1000,
-    seed: int = 0,
-    two_quadrant: bool | None = None,
-    task: Task | None = None,
-    workers: int = 1,
-    progress: Progress | None = None,
-) -> MismatchStudy:
+@dataclass(frozen=True)
+class StudyRequest(Request):
+    """What :func:`mismatch_study` takes beside axis and law."""
+
+    mismatch: float = option(0.02, "largest relative error of an estimate")
+    plants: int = option(1000, **PLANTS)
+    seed: int = option(0, **SEED)
+    two_quadrant: bool | None = option(None, **TWO_QUADRANT)
+    task: Task | None = option(None, "what the operator does, None: fitted_task")
+    workers: int = option(1, **WORKERS)
+
+
+@takes(StudyRequest)
+def mismatch_study(axis: Axis, law: ImpedanceLaw, request: StudyRequest) -> MismatchStudy:
     """Simulate ``law`` with estimates off by up to ``mismatch``: every corner, and ``plants`` drawn with ``seed``.
 
-    ``two_quadrant`` gives each of the five parameters of (5) its own error (None: if the axis's friction differs by
-    direction); such plants are released in either direction, and each is judged by the worse of the two runs.
-    The number of ``workers`` changes the time, not the result. Raises :class:`InputError` for a number out of range.
+    With ``two_quadrant`` plants are released in either direction, and each is judged by the worse of the two runs.
+    Raises :class:`InputError` for a number out of range.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -230,14 +239,12 @@ def mismatch_study(
     >>> study.to_dict()["worst"]["verdict"]
     'creeping'
     """
+    mismatch, seed, workers, progress = request.mismatch, request.seed, request.workers, request.progress
     check_mismatch(mismatch)
-    for name, value, low, high in (("plants", plants, 0, MOST), ("seed", seed, 0, 2**63), ("workers", workers, 1, 256)):
-        if not low <= value <= high:
-            raise InputError(f"{name}: found {value}, expected a whole number from {low} to {high}")
     plant = FrictionModel.of(axis)
-    split = plant.two_quadrant if two_quadrant is None else two_quadrant
+    split = plant.two_quadrant if request.two_quadrant is None else request.two_quadrant
     corners = box_of(corner_errors(mismatch, split))
-    drawn = np.random.default_rng(seed).uniform(-mismatch, mismatch, (plants, 5 if split else 3))
+    drawn = np.random.default_rng(seed).uniform(-mismatch, mismatch, (request.plants, 5 if split else 3))
     errors = np.vstack([corners, drawn if split else drawn[:, ALIKE]])
 
     off = with_errors(law, errors)
@@ -249,7 +256,7 @@ def mismatch_study(
 
     error, radius = np.hstack(list(in_threads(judged, parts, workers)))
     error[radius > 1.0 + MARGINAL] = np.nan
-    task = fitted_task(axis, law, mismatch) if task is None else task
+    task = fitted_task(axis, law, mismatch) if request.task is None else request.task
     measures = run_many(axis, [off], task, workers, progress)
     if split or plant.two_quadrant:  # let go moving the other way too; each plant is judged by its worse direction
         other = run_many(axis, [off], task.reversed, workers, progress)

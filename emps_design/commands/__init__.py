@@ -6,6 +6,7 @@ reason, warnings. :mod:`emps_design.cli` makes the options of the command line f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +22,8 @@ class Reply:
 
     ``document`` is the JSON, ``view`` what is printed instead, in ``units``. ``reason`` says why a design must not run.
     ``warnings`` go to standard error; those that the view prints are in the document alone. ``advised``: whether the
-    document gets advice.
+    document gets advice. ``write`` writes the files that hold the whole document, of which it gets the JSON text, and
+    returns their folder.
     """
 
     document: dict[str, Any]
@@ -30,6 +32,7 @@ class Reply:
     reason: str = ""
     warnings: tuple[str, ...] = ()
     advised: bool = True
+    write: Callable[[str], str] | None = None
 
     @property
     def status(self) -> int:

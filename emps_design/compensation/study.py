@@ -28,6 +28,7 @@ from emps_design.compensation.feedforward import (
 from emps_design.control.nested_loops import nested_loops, worst_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import Law, law_of
+from emps_design.view import Line, Table, View, Viewed
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -50,7 +51,7 @@ class TermResult:
 
 
 @dataclass(frozen=True)
-class Compensation:
+class Compensation(Viewed):
     """A feed-forward and the rms tracking error with and without it, in the unit of what the law follows."""
 
     axis: Axis
@@ -112,6 +113,29 @@ class Compensation:
             },
             "warnings": list(self.warnings),
         }
+
+    def view(self) -> View:
+        """The tracking error of each term, of all together, and advice on what feedback can do."""
+        headings = ("term", "alone", "all but it", "all, it wrong", "")
+        rows = [
+            (term.name.replace("_", " "), term.alone, term.left_out, term.worst, "" if term.kept else "left out")
+            for term in self.terms
+        ]
+        title = f"tracking error, rms [{self.unit}], axis {self.axis.name}"
+        totals = [
+            ("without feed-forward", self.without),
+            ("with inertia, friction and constant force", self.baseline),
+            ("with all that is kept", self.achieved),
+            ("and every parameter wrong", self.worst),
+        ]
+        words = self.axis.units.words
+        return (
+            Table(headings, rows, title, words=("",), missing=""),
+            Table(("all together", "rms", "unit"), [(words(label), rms, self.unit) for label, rms in totals]),
+            Line(f"wrong: by {100 * self.mismatch:g} %, phases by {self.phase_deg:g} deg, the way that does more harm"),
+            *([Line(f"{ON_ERROR.capitalize()}.")] if self.feedforward.terms else []),
+            *(Line(self.axis.units.text(cure["advice"])) for cure in self.feedback),
+        )
 
 
 def digest_of(axis: Axis) -> str:

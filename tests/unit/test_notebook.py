@@ -46,7 +46,7 @@ def test_designs_and_their_margins():
     assert "sampled force loop, around a velocity loop that runs without contact too, is stable" in force._repr_html_()
     assert "Largest k_e1" in str(force)
     law = assess_impedance(AXIS, 50.0, 100.0, 0.02, plants=0)
-    assert law._repr_html_().startswith("<p>emps2019, impedance law, creeping: the released carriage creeps on")
+    assert law._repr_html_().startswith("<p>CREEPING: the released carriage creeps on")
     fast = ed.design_velocity_loop(AXIS, crossover=500.0, phase_margin_deg=80.0)
     assert "undefined" in fast.sampled.margins._repr_html_()
 
