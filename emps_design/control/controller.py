@@ -177,7 +177,7 @@ class ControllerMargins(Viewed):
     def _on_every_machine(self, names: list[str]) -> Table:
         """Phase and gain margin of the loops ``names`` on every other machine."""
         rows = [
-            (self.axis.units.words(where_in_words(where)), *(_in_short(loop) for loop in loops.values() if loop))
+            (where_in_words(where, self.axis.units), *(_in_short(loop) for loop in loops.values() if loop))
             for where, loops in self.others
         ]
         return Table(("", *names), rows, "On every machine asked about: phase margin, gain margin")
