@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import ctypes
 import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +34,6 @@ from emps_design.codegen.program import (
     rewritten,
 )
 from emps_design.codegen.reader import read_program
-from emps_design.codegen.rounding import Rounded, Roundings, every_way, largest, on_rounded, smallest
 from emps_design.compensation.feedforward import FeedForward, names_of_effects, why_not
 from emps_design.effects import Effect
 from emps_design.effects.effect import ADDED
@@ -43,8 +41,8 @@ from emps_design.errors import AxisError, InputError
 from emps_design.laws import Law, get_law, law_of
 from emps_design.laws.law import LawKind, LawTable, Positive, parameter
 from emps_design.observer import external_force
-from emps_design.observer.external_force import ForceObserver, with_effects
-from emps_design.simulation.kernels.inverse import PASSES, SETTLED
+from emps_design.observer.external_force import ForceObserver
+from emps_design.simulation.kernels.inverse import PASSES
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -56,7 +54,6 @@ KERNEL = (REAL, REAL, REAL, REAL, ARRAY, ARRAY, ARRAY)  # arguments of an effect
 
 COMMAND = "command"  # what the observer takes in place of a reference
 
-WIDENINGS = 20  # doublings, at most, of the bound of a force that depends on itself
 INPUTS = ("ahead_q", "ahead_v", "ahead_a")
 
 NO_LIMIT = 1e30  # N, which single precision holds
@@ -69,9 +66,6 @@ class Part:
     term: str
     hook: str
     program: Program
-    kernel: Any
-    numbers: np.ndarray
-    baseline: np.ndarray
 
     @property
     def reads_the_force(self) -> bool:
@@ -82,30 +76,12 @@ class Part:
 def parts_of(effects: Iterable[tuple[str, Effect, np.ndarray]], b: np.ndarray) -> tuple[Part, ...]:
     """Every kernel of ``effects``, each a term, an effect and its parameters; ``b`` is the baseline (4,)."""
     return tuple(
-        Part(term, hook, _with_numbers(read_program(kernel, KERNEL), values, b), kernel, values, b)
+        Part(term, hook, _with_numbers(read_program(kernel, KERNEL), values, b))
         for term, effect, values in effects
         for hook in ADDED
         for kernel in [getattr(effect, hook)]
         if kernel is not None
     )
-
-
-def rounded_sums(parts: Iterable[Part], now: Roundings) -> dict[str, Callable[[Any, Any, Any], Any]]:
-    """For each hook the sum of the kernels of ``parts``, of position, velocity and motor force as rounded numbers."""
-    known: dict[str, list[Callable[[Any, Any, Any], Any]]] = {hook: [] for hook in ADDED}
-    for part in parts:
-        known[part.hook].append(_on_rounded(part, now))
-
-    def total(hook: str, q: Any, v: Any, tau: Any) -> Any:
-        return sum((kernel(q, v, tau) for kernel in known[hook]), now.exact(0.0))
-
-    return {hook: partial(total, hook) for hook in ADDED}
-
-
-def _on_rounded(part: Part, now: Roundings) -> Callable[[Any, Any, Any], Any]:
-    kernel, time = on_rounded(part.kernel), now.exact(0.0)
-    p, b = ([now.constant(float(x)) for x in row] for row in (part.numbers, part.baseline))
-    return lambda q, v, tau: kernel(q, v, time, tau, [], p, b)
 
 
 def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
@@ -295,59 +271,6 @@ class Ahead:
         """Command (n,) by the machine code of the simulation, for the reference's motion (n,) each."""
         return self.feedforward.command(q, v, a)
 
-    def rounded(self, motion: Sequence[float], now: Roundings) -> tuple[Rounded, bool]:
-        """Command in single precision for one sample of the motion, and whether rounding decides a comparison.
-
-        A sum that depends on itself may settle after fewer or more passes than in double precision: the bound holds
-        for all of them.
-        """
-        tau, within, several, stops, settled = 0.0, 0.0, False, list[tuple[float, float]](), False
-        for _ in range(self.passes):
-            before, just = tau, within
-            tau, within, more = self._pass(motion, before, just, now)
-            several |= more
-            settled = abs(tau - before) < SETTLED
-            if settled or abs(tau - before) <= 1.001 * SETTLED + within + just:
-                stops.append((tau, within))
-            if settled:
-                break
-        stops.append((tau, within))
-        stops += self._later(motion, tau, within, now) if self.repeats and settled else []
-        force = now.within(tau, max(abs(end - tau) + bound for end, bound in stops))
-        if self.feedforward.back_emf:
-            force = force + now.constant(self.feedforward.back_emf) * motion[1]
-        return force / self.feedforward.axis.drive.gain, several
-
-    def _later(self, motion: Sequence[float], tau: float, within: float, now: Roundings) -> list[tuple[float, float]]:
-        """Bound of the passes that single precision may add: a pass maps the interval around ``tau`` into itself."""
-        for _ in range(WIDENINGS):
-            within *= 2.0
-            then, bound, _ = self._pass(motion, tau, within, now)
-            if abs(then - tau) + bound <= within:
-                return [(tau, within)]
-        now.open = True
-        return []
-
-    def _pass(self, motion: Sequence[float], tau: float, within: float, now: Roundings) -> tuple[float, float, bool]:
-        """One pass, from a motor force within ``within`` of ``tau``: value and bound of the sum, and whether
-        rounding decides a comparison."""
-        own = Roundings()
-        before, added = own.within(tau, within), rounded_sums(self.parts, own)
-
-        def run() -> list[Rounded]:
-            q, v, a = (own.exact(x) for x in motion)
-            mass, viscous, coulomb, offset = (own.constant(x) for x in self.own)
-            direction: Any = own.exact(0.0)
-            if self.reversal > 0.0:
-                direction = largest(smallest(v / self.reversal, 1.0), -1.0)
-            force, dry, inertia = (added[hook](q, v, before) for hook in ADDED)
-            level = largest(own.exact(0.0), coulomb + dry)
-            return [viscous * v + offset + force + ((mass + inertia) * a + level * direction)]
-
-        (total,), several = every_way(run, own)
-        now.open |= own.open
-        return total.value, total.bound, several
-
 
 @dataclass(frozen=True)
 class Block:
@@ -360,7 +283,6 @@ class Block:
     parameters: dict[str, Any]
     ahead: Ahead | None = None
     origin: str = ""  # of the axis
-    parts: tuple[Part, ...] = ()  # of an observer: what the effects add
 
     @classmethod
     def of(cls, axis: Axis, ahead: Ahead | None = None) -> Block:
@@ -384,10 +306,9 @@ class Block:
     @classmethod
     def observer(cls, axis: Axis, cutoff_hz: float) -> Block:
         """The on-line force observer of ``axis`` with its effects; :class:`InputError` for one it cannot have."""
-        kernel, parts = observer_of(axis, cutoff_hz).kernel, observed_parts(axis)
-        kind, own = OBSERVER, {"cutoff": cutoff_hz}
+        kernel, kind, own = observer_of(axis, cutoff_hz).kernel, OBSERVER, {"cutoff": cutoff_hz}
         law = replace(kind.law(kind.table(**own), axis, axis.sampling.period), kernel=kernel)
-        return cls(axis, kind, law, observer_program(parts), own, parts=parts)
+        return cls(axis, kind, law, observer_program(observed_parts(axis)), own)
 
     @property
     def observes(self) -> bool:
@@ -422,13 +343,6 @@ class Block:
         added = np.zeros(q.size) if self.ahead is None else self.ahead.command(*motion)
         u, states = self._run_law(start, reference, q, f_ext, added)
         return np.clip(u, -self.limit, self.limit), states
-
-    def rounded_kernel(self, now: Roundings) -> Any:
-        """The kernel on rounded numbers."""
-        kernel = on_rounded(self.kind.kernel)
-        if not self.parts:
-            return kernel
-        return with_effects(kernel, {f"added_{hook}": total for hook, total in rounded_sums(self.parts, now).items()})
 
     def _run_law(
         self, start: np.ndarray, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray, added: np.ndarray

@@ -225,8 +225,8 @@ class Exported:
                 write_text(aside / name, text) if isinstance(text, str) else (aside / name).write_bytes(text)
 
     def to_dict(self) -> dict[str, Any]:
-        """Names and hashes of the files, size and bounds of the vectors, operations, drive settings, as plain data."""
-        bounds = [bound for bound in self.vectors.bound.tolist() if math.isfinite(bound)]
+        """Names and hashes of the files, the vectors, operations, drive settings, as plain data."""
+        finite = self.vectors.difference[np.isfinite(self.vectors.difference)]
         return {
             "name": self.name,
             "target": self.target,
@@ -239,9 +239,9 @@ class Exported:
                 "rows": int(self.vectors.q.size),
                 "inputs": list(self.vectors.titles),
                 "states": int(self.vectors.outputs[1].shape[1]),
-                "single_precision_bound": max(bounds, default=None),
-                "rows_without_bound": int(self.vectors.q.size - len(bounds)),
-                "rows_that_rounding_decides": int(self.vectors.undecided.sum()),
+                "single_precision_bound": float(finite.max()) if finite.size else None,
+                "rows_without_bound": int(self.vectors.q.size - finite.size),
+                "rows_that_rounding_decides": int(self.vectors.decided_otherwise.sum()),
             },
             "operations": operations_of(self.block),
             "drives": drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis)),

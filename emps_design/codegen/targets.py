@@ -34,7 +34,7 @@ from emps_design.codegen import languages
 from emps_design.codegen.block import COMMAND, Ahead, Block
 from emps_design.codegen.languages import functions_in_c, functions_in_st, st_number
 from emps_design.codegen.program import Program, safe_names
-from emps_design.codegen.vectors import MOTION, REST, TRAVEL, Vectors, operations_of
+from emps_design.codegen.vectors import FACTOR, MOTION, REST, TRAVEL, Vectors, operations_of
 from emps_design.effects.effect import ADDED
 from emps_design.errors import one_line
 from emps_design.laws import leaves, unit_of
@@ -303,7 +303,8 @@ def gain_names(block: Block) -> list[str]:
 def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: Any) -> Files:
     """``made`` with the axis, the vectors and the page; ``more`` are words for its template."""
     made = {**made, f"{name}.toml": block.axis.to_toml(comments=True), "vectors.csv": vectors.to_csv()}
-    words = {**words_of(name, block), **more, "rows": vectors.q.size, "bound": single_precision(vectors)}
+    words = {**words_of(name, block), **more, "rows": vectors.q.size, "factor": FACTOR}
+    words["measured"] = single_precision(vectors)
     hashes = [(file, hash_of(text)) for file, text in made.items()]
     words |= {"files": list(made), "hashes": hashes}
     words["operations"] = ", ".join(f"{n} {OPERATIONS[kind]}" for kind, n in operations_of(block).items())
@@ -312,24 +313,22 @@ def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: An
 
 
 def single_precision(vectors: Vectors) -> str:
-    """Sentences for the page on the bound of single precision."""
-    bound, unit = vectors.bound, vectors.block.axis.units.unit("N" if vectors.block.observes else "V")
-    held = bound[np.isfinite(bound)]
+    """Sentences for the page on what single precision does, as measured."""
+    difference, unit = vectors.difference, vectors.block.axis.units.unit("N" if vectors.block.observes else "V")
+    finite, otherwise = np.isfinite(difference), vectors.decided_otherwise
     text = (
-        f"Here the largest is {bound[REST : REST + MOTION].max():.3g} {unit} in the first motion and "
-        f"{held.max(initial=0.0):.3g} {unit} in all."
+        f"The largest difference is {difference[REST : REST + MOTION].max():.3g} {unit} in the first motion and "
+        f"{difference[finite].max(initial=0.0):.3g} {unit} in all."
     )
-    if several := int(np.count_nonzero(vectors.undecided)):
+    if np.any(otherwise):
+        jump = difference[otherwise & finite].max(initial=0.0)
         text += (
-            f" At {several} of the samples rounding decides a comparison (a sign, a limit, a switch), and single "
-            "precision may go the other way. There, and as long as the memory holds what follows from it, the column "
-            f"single bounds both ways, the jump between them included, at most {bound[vectors.undecided].max():.3g} "
-            f"{unit}."
+            f" At {np.count_nonzero(otherwise)} of the samples a comparison (a sign, a limit, a switch) falls the "
+            f"other way in single precision; there the difference is at most {jump:.3g} {unit}."
         )
-    unbounded = bound.size - held.size
-    return text + (
-        f" {unbounded} samples have none: a number there may leave what single precision holds." if unbounded else ""
-    )
+    if not np.all(finite):
+        text += f" {np.count_nonzero(~finite)} samples have none: a number leaves what single precision holds."
+    return text
 
 
 def feedforward_words(ahead: Ahead) -> dict[str, Any]:

@@ -1,20 +1,19 @@
-"""What is known of a block before it runs: the operations of one step, and test vectors with bounds of rounding.
+"""What is known of a block before it runs: the operations of one step, and test vectors.
 
-Test vectors have inputs, the outputs of double precision, and how far single precision may be from them. The inputs
-are numbers of single precision, so that both precisions get the same: at rest, in motion well within the limit, in
-and out of the limit, and extremes. Random numbers have a fixed seed.
+Test vectors have inputs, the outputs of double precision, and how far single precision may be from them, by the
+difference measured between both. The inputs are numbers of single precision, so that both precisions get the same: at
+rest, in motion well within the limit, in and out of the limit, and extremes. Random numbers have a fixed seed.
 
 Operations of one step are counted in the translated code: the most that any path through it takes.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import zip_longest
 from typing import Any
 
@@ -37,7 +36,7 @@ from emps_design.codegen.program import (
     Unary,
     parts,
 )
-from emps_design.codegen.rounding import HALF_UNIT, Rounded, Roundings, every_way, largest, smallest
+from emps_design.codegen.single import Stepper
 
 KINDS = {"+": "add", "-": "add", "*": "multiply", "/": "divide"}
 ORDER = ("multiply", "add", "divide", "compare", "call")
@@ -48,6 +47,10 @@ FORCE_PER_METRE = 1e3  # N of external force for each m of motion in the vectors
 PLACES = (0.0, 0.25, -0.5, 0.0)  # m, where each part begins
 TRAVEL = 2.0**-3  # m, of an observer, which has no limit
 SEED = 19
+# The measured functions of ``math`` round to half a unit in the last place, those of a drive to a whole one; and what
+# is measured is one sequence of roundings, in which some cancel: two times each.
+FACTOR = 4.0
+UNIT = 2.0**-23  # in the last place, relative
 
 
 def operations_of(block: Block) -> dict[str, int]:
@@ -168,42 +171,6 @@ def _value(node: Any, known: Known) -> Any:
     return None
 
 
-class SinglePrecision:
-    """A fresh run of ``block`` on rounded numbers."""
-
-    def __init__(self, block: Block):
-        self.block, self.now, self.k = block, Roundings(), 0
-        self.gains = [self.now.constant(float(gain)) for gain in block.law.gains]
-        self.limit, self.kernel = self.now.constant(block.limit), block.rounded_kernel(self.now)
-        self.memory = [self.now.exact(0.0)] * block.law.memory
-
-    def step(self, sample: Sequence[float], motion: Sequence[float]) -> tuple[float, bool]:
-        """Bound for one sample, inf where there is none, and whether rounding decides a comparison.
-
-        ``sample`` is reference, position and force, ``motion`` position, velocity, acceleration for the feed-forward.
-        """
-        added, several = self.now.exact(0.0), False
-        if self.block.ahead is not None:
-            added, several = self.block.ahead.rounded(motion, self.now)
-        inputs = [self.now.exact(x) for x in sample]
-        if self.block.law.error_alone:
-            inputs[0], inputs[1] = self.now.exact(0.0), inputs[1] - inputs[0]
-        (u, *self.memory), more = every_way(partial(self._command_and_memory, inputs, added), self.now)
-        self.k += 1
-        apart = 2.0 * self.block.limit * (1.0 + HALF_UNIT)  # at most, within the limit
-        return (math.inf if self.now.open else min(u.bound, apart)), several or more
-
-    def _command_and_memory(self, inputs: Sequence[Rounded], added: Rounded) -> list[Any]:
-        """The command and the memory after it."""
-        memory = list(self.memory)
-        waits = self.block.waits
-        before = list(self.memory)
-        u = self.kernel(self.k, *inputs, self.limit, self.gains, memory) + added
-        if waits is not None and (u > self.limit or u < -self.limit):
-            memory[waits] = before[waits]
-        return [largest(smallest(u, self.limit), -self.limit), *memory]
-
-
 @dataclass(frozen=True)
 class Vectors:
     """Inputs (n,) of a block, its command ``u`` (n,) and its memory ``states`` (n, memory) after each sample."""
@@ -226,35 +193,50 @@ class Vectors:
         return self.outputs[0]
 
     @property
-    def bound(self) -> np.ndarray:
-        """Bound (n,) of the distance of single precision from ``u``; inf where nothing bounds it."""
-        return self._single[0]
+    def difference(self) -> np.ndarray:
+        """Distance (n,) of single precision from ``u``, measured; inf where a number leaves what it holds."""
+        return self._measured[0]
 
     @property
-    def undecided(self) -> np.ndarray:
-        """Whether (n,) rounding decides a comparison: ``bound`` holds whichever way it falls."""
-        return self._single[1]
+    def decided_otherwise(self) -> np.ndarray:
+        """Whether (n,) a comparison falls the other way in single precision: a sign, a limit, a switch."""
+        return self._measured[1]
 
     @cached_property
-    def _single(self) -> tuple[np.ndarray, np.ndarray]:
-        bound, undecided = np.empty(self.q.size), np.zeros(self.q.size, bool)
-        inputs = zip(self.reference.tolist(), self.q.tolist(), self.f_ext.tolist(), strict=True)
-        motion = zip(*(signal.tolist() for signal in self.motion), strict=True) if self.motion else itertools.repeat(())
-        for i, (sample, ahead) in enumerate(zip(inputs, motion, strict=False)):
+    @np.errstate(all="ignore")
+    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
+        difference, otherwise = np.empty(self.q.size), np.zeros(self.q.size, bool)
+        samples = np.column_stack([self.reference, self.q, self.f_ext]).tolist()
+        motion = np.column_stack(self.motion).tolist() if self.motion else [()] * self.q.size
+        for i, (sample, ahead) in enumerate(zip(samples, motion, strict=True)):
             if self.start[i]:
-                single = SinglePrecision(self.block)
-            bound[i], undecided[i] = single.step(sample, ahead)
-        return bound, undecided
+                double, single = Stepper(self.block, np.float64), Stepper(self.block, np.float32)
+            double.step(sample, ahead)
+            difference[i] = abs(single.step(sample, ahead) - self.u[i])
+            otherwise[i] = single.decisions != double.decisions
+        return np.where(np.isfinite(difference), difference, np.inf), otherwise
+
+    @property
+    def tolerance(self) -> np.ndarray:
+        """Largest distance (n,) from ``u`` that single precision is allowed; inf where :attr:`difference` is.
+
+        ``FACTOR`` times the largest difference between one ``start`` and the next, or times a unit in the last place
+        of the largest ``u`` there where that is more: a measured difference may be small by chance.
+        """
+        finite, first = np.isfinite(self.difference), np.flatnonzero(self.start)
+        sizes = np.maximum(np.where(finite, self.difference, 0.0), UNIT * np.abs(self.u))
+        largest = np.repeat(np.maximum.reduceat(sizes, first), np.diff([*first, self.q.size]))
+        return np.where(finite, FACTOR * largest, np.inf)
 
     def to_csv(self) -> str:
         """A table with units in its titles; numbers to the last bit. ``start`` is 1 where the block restarts.
 
-        ``single`` is the bound of single precision, inf where there is none.
+        ``single`` is the tolerance of single precision.
         """
         u, states = self.outputs
         titles = ["start", *self.titles, "u", "single", *(f"memory[{i}]" for i in range(states.shape[1]))]
         inputs = [self.reference, self.q, self.f_ext, *self.motion]
-        columns = [self.start.astype(float), *inputs, u, self.bound, *states.T]
+        columns = [self.start.astype(float), *inputs, u, self.tolerance, *states.T]
         rows = zip(*(column.tolist() for column in columns), strict=True)
         return "\n".join([",".join(titles), *(",".join(map(_shortest, row)) for row in rows)]) + "\n"
 
@@ -264,12 +246,12 @@ class Vectors:
         return ("reference", "q", "f_ext", *(INPUTS if self.motion else ()))
 
     def to_dict(self) -> dict[str, Any]:
-        """Inputs and outputs by name, as plain numbers; ``single`` is None where nothing bounds it."""
+        """Inputs and outputs by name, as plain numbers; ``single`` is None where the tolerance is not finite."""
         u, states = self.outputs
-        bounds = [bound if math.isfinite(bound) else None for bound in self.bound.tolist()]
+        single = [allowed if math.isfinite(allowed) else None for allowed in self.tolerance.tolist()]
         signals = (self.reference, self.q, self.f_ext, *self.motion)
         inputs = {name: signal.tolist() for name, signal in zip(self.titles, signals, strict=True)}
-        return {"start": self.start.tolist(), **inputs, "u": u.tolist(), "single": bounds, "memory": states.tolist()}
+        return {"start": self.start.tolist(), **inputs, "u": u.tolist(), "single": single, "memory": states.tolist()}
 
 
 def _shortest(number: float) -> str:

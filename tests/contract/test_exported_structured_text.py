@@ -1,4 +1,4 @@
-"""Every law as Structured Text: run from its text, LREAL has the simulation's bits, REAL stays within its bound."""
+"""Every law as Structured Text: run from its text, LREAL has the simulation's bits, REAL stays within its tolerance."""
 
 import re
 from types import SimpleNamespace
@@ -30,7 +30,7 @@ EVERY = pytest.mark.parametrize("kind", LAWS, ids=lambda kind: kind.name)
 
 
 def assert_the_text_gives_the_vectors(exported):
-    """LREAL has the bits of the vectors, REAL stays within their bound; the blocks of the text."""
+    """LREAL has the bits of the vectors, REAL stays within their tolerance; the blocks of the text."""
     vectors, blocks = exported.vectors, Blocks(exported.files[f"{exported.name}.st"])
     inputs = vectors.start, vectors.reference, vectors.q, vectors.f_ext, *vectors.motion
     found = blocks.run(exported.name, *inputs)
@@ -38,8 +38,8 @@ def assert_the_text_gives_the_vectors(exported):
     with np.errstate(all="ignore"):
         single = blocks.run(f"{exported.name}_single", *inputs)
     assert single.dtype == np.float32
-    assert np.isfinite(vectors.bound).all()
-    assert np.all(np.abs(single - vectors.u) <= vectors.bound)
+    assert np.isfinite(vectors.tolerance).all()
+    assert np.all(np.abs(single - vectors.u) <= vectors.tolerance)
     return blocks
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,11 @@ from emps_design.cli import app
 from emps_design.codegen import export_controller
 from emps_design.codegen.block import Ahead, Block
 from emps_design.codegen.languages import functions_in_c, functions_in_st
-from emps_design.codegen.rounding import Roundings, every_way, largest, on_rounded, smallest
-from emps_design.codegen.targets import block_name, commit
+from emps_design.codegen.program import ARRAY, REAL
+from emps_design.codegen.reader import read_program
+from emps_design.codegen.single import Runner, Stepper
+from emps_design.codegen.targets import block_name, commit, single_precision
+from emps_design.codegen.vectors import vectors_of
 from emps_design.compensation import FeedForward
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError
@@ -114,28 +118,21 @@ def switching(x, memory):
     return 2.0 * memory[0]
 
 
-def test_both_ways_of_a_comparison_are_within_the_bound():
-    now = Roundings()
-    plain, single, memory, said = [0.0], [np.float32(0.0)], [now.exact(0.0)], []
-    for _ in range(25):
-        wanted, found = switching(1.0, plain), _switching_in_single(single)
-
-        def step(before=memory):
-            mine = [*before]
-            return [on_rounded(switching)(now.exact(1.0), mine), *mine]
-
-        (u, *memory), several = every_way(step, now)
-        assert u.value == wanted
-        assert abs(float(found) - wanted) <= u.bound
-        said.append((several, u.bound, abs(float(found) - wanted)))
-    assert [several for several, _, _ in said].index(True) == 9
-    assert max(bound for _, bound, _ in said[:9]) < 1e-5
-    assert said[9][2] == pytest.approx(2.0, rel=1e-6)  # it did go the other way
-    assert not now.open
+def test_a_comparison_that_falls_the_other_way_is_noticed():
+    """In both precisions the bits of the same operations by hand, and the comparison that differs first."""
+    program, ways = read_program(switching, (REAL, ARRAY)), ([], [])
+    by_hand = ((np.float64, switching), (np.float32, _switching_in_single))
+    for (real, plain), noted in zip(by_hand, ways, strict=True):
+        kernel = Runner(program, real, lambda condition, noted=noted: noted.append(bool(condition)) or condition)
+        memory, expected = [real(0.0)], [real(0.0)]
+        for _ in range(25):
+            assert kernel(real(1.0), memory) == plain(real(1.0), expected)
+        assert memory[0].dtype == real
+    assert np.flatnonzero(np.not_equal(*ways))[0] == 9
 
 
-def _switching_in_single(memory):
-    memory[0] = memory[0] + np.float32(0.1) * np.float32(1.0)
+def _switching_in_single(x, memory):
+    memory[0] = memory[0] + np.float32(0.1) * x
     if memory[0] > np.float32(1.0):
         memory[0] = np.float32(0.0)
     return np.float32(2.0) * memory[0]
@@ -161,25 +158,23 @@ def test_every_effect_is_in_the_exported_observer_and_its_feed_forward_or_refuse
     assert not np.array_equal(force, observe_online(ForceObserver(axis.replace(effects=[]), 20.0), q, u))
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_bound_holds_for_random_arithmetic(seed):
-    """The same random operations in single precision and on rounded numbers."""
-    random, now = np.random.default_rng(seed), Roundings()
-    plain = [np.float32(x) for x in random.normal(0.0, 10.0 ** random.uniform(-3, 3), 6)]
-    numbers, widest = [now.exact(float(x)) for x in plain], 0.0
-    for _ in range(200):
-        i, j, operation = random.integers(len(plain)), random.integers(len(plain)), random.integers(6)
-        x, y = plain[i], plain[j]
-        if operation == 3 and not abs(numbers[j].value) > 2.0 * numbers[j].bound:
-            continue
-        done = [x + y, x - y, x * y, x / y if y else x, min(x, y), abs(x)][operation]
-        if not np.isfinite(done) or abs(done) > 1e6 or 0.0 < abs(done) < 1e-6:
-            continue
-        a, b = numbers[i], numbers[j]
-        made = [a + b, a - b, a * b, a / b if operation == 3 else a, smallest(a, b), abs(a)]
-        place = random.integers(len(plain))
-        plain[place], numbers[place] = np.float32(done), made[operation]
-        widest = max(widest, numbers[place].bound)
-        assert abs(float(plain[place]) - numbers[place].value) <= numbers[place].bound * (1.0 + 1e-12)
-    assert widest > 0.0
-    assert largest(1.0, 2.0) == 2.0
+@pytest.mark.parametrize("kind", ["position_pd", "cascade"])
+def test_the_measured_step_has_the_bits_of_the_vectors(kind):
+    controllers = {"position_pd": {"kp": 160.18, "kv": 243.45}, "cascade": {"velocity": {"kp": 40.0, "ti": 0.05}}}
+    vectors = vectors_of(Block.of(machine("emps2019").replace(controller={"kind": kind, **controllers[kind]})))
+    stepper = None
+    for i, sample in enumerate(zip(vectors.reference, vectors.q, vectors.f_ext, strict=True)):
+        stepper = Stepper(vectors.block, np.float64) if vectors.start[i] else stepper
+        assert stepper.step(sample, ()) == vectors.u[i]
+    assert 0.0 < vectors.difference.max() < 1e-4
+    assert np.all(vectors.tolerance >= 4.0 * vectors.difference)
+
+
+def test_where_single_precision_overflows_there_is_no_tolerance():
+    block = Block.of(machine("emps2019"))
+    vectors = vectors_of(replace(block, law=replace(block.law, gains=1e36 * np.asarray(block.law.gains))))
+    beyond = ~np.isfinite(vectors.difference)
+    assert 0 < np.count_nonzero(beyond) < beyond.size
+    np.testing.assert_array_equal(np.isfinite(vectors.tolerance), ~beyond)
+    assert None in vectors.to_dict()["single"]
+    assert f"{np.count_nonzero(beyond)} samples have none" in single_precision(vectors)
