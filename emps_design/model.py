@@ -119,13 +119,13 @@ def states_along(
 
     They start at rest; the dry friction of ``effects`` adds to the present Coulomb level.
     """
-    change, initial = effect.rate, effect.initial
-    if change is None or initial is None:
+    change = effect.rate
+    if change is None:
         return np.zeros((q.size, 0))
     from scipy.integrate import solve_ivp
     from scipy.interpolate import CubicHermiteSpline
 
-    start = np.array(initial(q[0], p, b), dtype=float)
+    start = effect.at_rest(q[0], p, b)
     if q.size < 2:
         return start[None, :]
     path = CubicHermiteSpline(t, q, v)

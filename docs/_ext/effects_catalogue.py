@@ -26,7 +26,9 @@ def page(effect) -> str:
         for p in effect.parameters
     ]
     others = {other.name: other for other in EFFECTS}
-    confused = ", ".join(f"[{others[name].label}](#{anchor(name)})" for name in effect.confused_with) or "nothing here"
+    confused = (
+        ", ".join(f"[{others[name].label}](#{anchor(name)})" for name in effect.search.confused_with) or "nothing here"
+    )
     numbers = ", ".join(f"{p.name} {typical(p):g} {p.unit}".strip() for p in effect.parameters)
     return f"""({anchor(effect.name)})=
 # {effect.label}
@@ -41,7 +43,7 @@ $$
 |---|---|---|---|---|
 {chr(10).join(rows)}
 
-**Signature.** {sentence(effect.where)}
+**Signature.** {sentence(effect.words.where)}
 
 ```{{image}} {effect.name}.png
 :alt: Change of the motor force that {effect.label} makes, against time and against velocity
@@ -51,9 +53,9 @@ Change of the motor force of {MACHINE} over one synthetic lap, with and without 
 
 **Confused with.** {confused}.
 
-**The experiment that tells them apart.** {sentence(effect.experiment)}
+**The experiment that tells them apart.** {sentence(effect.words.experiment)}
 
-**What to do.** {sentence(effect.remedy)}
+**What to do.** {sentence(effect.words.remedy)}
 """
 
 

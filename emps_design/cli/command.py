@@ -93,7 +93,7 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     _check_outputs(kind, own, bool(values.get("force")))
     as_json = values["as_json"]
     with output.progress_bar(not as_json or sys.stderr.isatty()) as progress:
-        request = make_request(kind, own, given, progress=progress)
+        request: Any = make_request(kind, own, given, progress=progress)
         if "axis" in own:
             output.set_units(request.axis.units)  # of the messages of errors
         answer: Reply = module.answer(request)

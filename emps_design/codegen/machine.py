@@ -483,8 +483,8 @@ def _kernels(plant: Plant, name: str, structures: dict[str, str]) -> Any:
     initial, calls = list[tuple[str, str, int, int, int]](), set[str]()
     for i, effect in enumerate(plant.effects):
         effect_functions: dict[str, Function] = {}
-        hooks = [(getattr(effect, hook), hook if hook in FORMS else "kernel") for hook in HOOKS]
-        hooks = [(kernel, form) for kernel, form in hooks if kernel is not None]
+        kernels = [(effect.hook(hook), hook if hook in FORMS else "kernel") for hook in HOOKS]
+        hooks = [(kernel, form) for kernel, form in kernels if kernel is not None]
         for kernel, form in hooks:
             read_into(StepperReader, kernel, FORMS[form], effect_functions, calls, ())
         if effect.initial is not None:

@@ -25,7 +25,7 @@ import numpy as np
 
 from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
-from emps_design.effects.two_mass import LOWEST, RESONANCES, has_play, is_coupling, linear_coupling
+from emps_design.effects.two_mass import LOWEST, RESONANCES, is_coupling, linear_coupling
 from emps_design.errors import EmpsError
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
         reason = why_not(entry.effect)
         if not reason:
             terms.append(name)
-        elif entry.effect.delay is None and entry.effect.lag is None:
+        elif entry.effect.delay is None and entry.effect.solver.lag is None:
             not_compensated[name] = reason
     return (*terms, *([LEAD] if lateness(axis) > 0.0 else [])), not_compensated
 
@@ -128,7 +128,7 @@ def lateness(axis: Axis) -> float:
     b, late = axis.mechanics.array(), axis.drive.current_time_constant
     for entry in axis.effects:
         p = entry.effect.values(entry.parameters)
-        for hook in (entry.effect.delay, entry.effect.lag):
+        for hook in (entry.effect.delay, entry.effect.solver.lag):
             late += hook(0.0, 0.0, 0.0, 0.0, np.zeros(0), p, b) if hook is not None else 0.0
     return float(late)
 
@@ -172,7 +172,7 @@ def feedback_cures(axis: Axis) -> list[dict[str, Any]]:
     for place, entry in enumerate(axis.effects):
         if is_coupling(entry.effect):
             try:
-                cure = _gain(axis, place) if has_play(entry.effect) else _filter(axis)
+                cure = _gain(axis, place) if entry.effect.play else _filter(axis)
             except EmpsError as error:  # a user's law may have no linear form
                 cure = {"cure": None, "advice": f"no advice, {error}"}
             cures.append({"effect": entry.kind, **cure, "advice": f"{entry.kind}: {cure['advice']}"})

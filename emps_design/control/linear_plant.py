@@ -106,10 +106,9 @@ class Member:
 
     def __init__(self, effect: Effect, p: np.ndarray, b: np.ndarray):
         self.effect, self.p, self.b = effect, p, b
-        self.x = np.array(effect.initial(0.0, p, b) if effect.initial else (), dtype=float)
+        self.x = effect.at_rest(0.0, p, b)
         self.settled = True
-        names = [parameter.name for parameter in effect.parameters]
-        self.repeat = float(p[names.index(effect.repeats)]) if effect.repeats else 0.0
+        self.repeat = float(p[effect.place(effect.repeats)]) if effect.repeats else 0.0
         self.places = np.arange(PLACES) / PLACES * self.repeat if effect.repeats else np.zeros(1)
 
     def settle(self, v: float, tau: float) -> None:
@@ -167,7 +166,7 @@ class Member:
 
     def lag(self, v: float, tau: float) -> float:
         """Time constant [s] of the motor force behind the voltage by the effect."""
-        return self._hook(self.effect.lag, 0.0, v, tau, self.x)
+        return self._hook(self.effect.solver.lag, 0.0, v, tau, self.x)
 
     def _hook(self, hook: Kernel | None, q: float, v: float, tau: float, x: np.ndarray) -> float:
         return 0.0 if hook is None else float(hook(q, v, 0.0, tau, x, self.p, self.b))
@@ -211,7 +210,7 @@ class Member:
     def left_out(self, v: float, tau: float, units: Units) -> list[str]:
         """Warnings on what the linearisation of this effect leaves out."""
         effect, warnings, speed = self.effect, [], units.quantity(v, "m/s", "g")
-        if effect.guard is not None or effect.jump_time is not None:
+        if effect.solver.guard is not None or effect.solver.jump_time is not None:
             warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {speed} only")
         if effect.command is not None:
             command = units.word("voltage")
@@ -352,8 +351,8 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     b, braking, members = axis.mechanics.array(), axis.drive.braking, list[Member]()
     for entry in axis.effects:
         p = entry.effect.values(entry.parameters)
-        if entry.effect.winding and entry.effect.slopes is not None:
-            braking += entry.effect.slopes(p)[0]
+        if entry.effect.winding and entry.effect.solver.slopes is not None:
+            braking += entry.effect.solver.slopes(p)[0]
         else:
             members.append(Member(entry.effect, p, b))
     gain, lag, shown = axis.drive.gain, axis.drive.current_time_constant, axis.units.quantity
@@ -392,7 +391,9 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     firsts = [2 + sum(sizes[:i]) for i in range(len(sizes))]  # of each member's states
     lags = [(-1, lag)] * (lag > 0.0)
     lags += [
-        (first, member.lag(velocity, tau)) for first, member in zip(firsts, members, strict=True) if member.effect.lag
+        (first, member.lag(velocity, tau))
+        for first, member in zip(firsts, members, strict=True)
+        if member.effect.solver.lag
     ]
     force_row, force_in = np.zeros(count), slope  # d(motor force behind the lags)/d(state) and /d(voltage)
     for place, constant in lags:
@@ -405,7 +406,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     drag[VELOCITY] = b[VISCOUS] + braking
     drag_tau = 0.0
     for member, first, size in zip(members, firsts, sizes, strict=True):
-        if member.effect.lag:
+        if member.effect.solver.lag:
             continue
         own = slice(first, first + size)
         mass += member.inertia(velocity, tau)

@@ -168,7 +168,7 @@ def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
     if outcome.lacks:
         experiment = NextExperiment(varies(over)[1])
     elif outcome.named:
-        experiment = NextExperiment(outcome.named[0].effect.experiment)
+        experiment = NextExperiment(outcome.named[0].effect.words.experiment)
     return Diagnosis(
         verdict=outcome.verdict,
         findings=findings,
@@ -210,7 +210,7 @@ def _finding(outcome: BalanceResult, finding: Named) -> Finding:
         gap_after=after,
         confirmed=finding.confirmed,
         equivalents=finding.equivalents[: rules.MOST_EQUIVALENTS],
-        remedy=finding.effect.remedy,
+        remedy=finding.effect.words.remedy,
     )
 
 

@@ -281,7 +281,7 @@ def terms_of(axis: Axis, effects: Mapping[str, Effect]) -> dict[str, str]:
         term: name
         for term, described in TERMS.items()
         for name, effect in effects.items()
-        if axis.units.motion in described.motions and term in effect.identified_by
+        if axis.units.motion in described.motions and term in effect.estimation.identified_by
     }
 
 
@@ -391,7 +391,7 @@ def named_effects(
     whole = strokes.errors(tuple(wanted))
     for term, confirmed in wanted.items():
         effect, rest = library[terms[term]], [other for other in wanted if other != term]
-        without, parameters = strokes.errors(rest), effect.identified_by[term](fitted.parameters)
+        without, parameters = strokes.errors(rest), effect.estimation.identified_by[term](fitted.parameters)
         findings.append(
             Named(
                 effect,
@@ -438,7 +438,7 @@ def _rivals(
     """
     strokes, errors = balance.strokes, {}
     for name, rival in library.items():
-        if rival.confusable(effect) and rival.regressor is not None and not rival.general:
+        if rival.confusable(effect) and rival.regressor is not None and not rival.search.general:
             tried = [strokes.by_stroke(strokes.left(rest, columns) ** 2) for columns in _columns(balance, rival)]
             if tried:
                 errors[name] = min(tried, key=lambda error: float(error.sum()))
@@ -452,7 +452,7 @@ def _columns(balance: Balance, effect: Effect) -> Iterator[list[np.ndarray]]:
     size = {p.name: p.scale for p in effect.parameters if p.linear}
     for values in itertools.product(*(p.starts or (p.scale,) for p in shapes)):
         shape = {p.name: value for p, value in zip(shapes, values, strict=True)}
-        if effect.plausible is None or effect.plausible(size | shape, motion):
+        if effect.search.plausible is None or effect.search.plausible(size | shape, motion):
             columns = effect.regressor(motion, shape, balance.axis.mechanics.array())
             yield list(balance.strokes.rows(columns.T).T)
 
@@ -477,10 +477,10 @@ def candidate_terms(
 def _deviations(effect: Effect, term: str, fitted: Fitted) -> dict[str, float]:
     """Standard deviations of the effect's parameters, propagated from the identified ones by finite differences."""
     numbers = fitted.parameters
-    square = dict.fromkeys(effect.identified_by[term](numbers), 0.0)
+    square = dict.fromkeys(effect.estimation.identified_by[term](numbers), 0.0)
     for name, value in numbers.items():
         std = fitted.deviation(name)
-        ends = [effect.identified_by[term]({**numbers, name: value + side * std}) for side in (0.5, -0.5)]
+        ends = [effect.estimation.identified_by[term]({**numbers, name: value + side * std}) for side in (0.5, -0.5)]
         for own in square:
             square[own] += (ends[0][own] - ends[1][own]) ** 2
     return {own: float(np.sqrt(total)) for own, total in square.items()}

@@ -29,7 +29,6 @@ from emps_design.discrepancy.problem import Hypothesis
 from emps_design.discrepancy.starts import either_baseline, tangent
 from emps_design.discrepancy.unknown_force import KINDS, Kind, beside_kind, with_kind
 from emps_design.effects import Effect
-from emps_design.effects.two_mass import has_play
 from emps_design.errors import SimulationError
 from emps_design.progress import Progress, no_progress
 
@@ -61,7 +60,9 @@ def exchanges(best: Fit, known: tuple[str, ...], library: tuple[Effect, ...]) ->
         without = evaluate(rest)
         if not without.innovations:
             return []
-        alike = tuple(other for other in library if not other.general and (other is effect or other.confusable(effect)))
+        alike = tuple(
+            other for other in library if not other.search.general and (other is effect or other.confusable(effect))
+        )
         return extended(without, alike)[0]
 
     return [fitted for fits in side_by_side(instead, places) for fitted in fits if admissible(fitted)]
@@ -270,7 +271,7 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
     if _effect_count(calibration, current) or not judge.leaves_structure(current):
         return None
     worth = max(judge.healthy.threshold, rules.WORTH * current.cost)
-    alone = [f for key, f in tried.items() if len(key) == len(names) + 1 and not f.model.effects[-1].general]
+    alone = [f for key, f in tried.items() if len(key) == len(names) + 1 and not f.model.effects[-1].search.general]
     leading = sorted((f for f in alone if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
     if not leading:
         return None
@@ -285,7 +286,7 @@ def _best_accepted(calibration: Calibration, current: Fit, sound: FitsBySet) -> 
 
 def _library(calibration: Calibration, *, general: bool) -> tuple[Effect, ...]:
     """The effects to look for: the curves of any shape, or all others."""
-    return tuple(effect for effect in calibration.preparation.library if effect.general is general)
+    return tuple(effect for effect in calibration.preparation.library if effect.search.general is general)
 
 
 def _effect_count(calibration: Calibration, fitted: Fit) -> int:
@@ -306,7 +307,7 @@ def _exchange(calibration: Calibration, best: Fit, tried: FitsBySet, progress: P
     others = exchanges(best, known, calibration.preparation.library)
     _remember(tried, others)
     # With play that bounces, the bursts of a few impacts are as large as the gain of an exchange.
-    cost = bounded_cost if any(map(has_play, best.model.effects)) else lambda f: f.cost
+    cost = bounded_cost if any(effect.play for effect in best.model.effects) else lambda f: f.cost
     least = min(others, key=cost, default=best)
     pays = cost(best) - cost(least) > max(judge.healthy.threshold, rules.STILL_PAYS * cost(best))
     return converged(least) if pays else None
@@ -342,7 +343,7 @@ def _round(
     effect alone on top of the first model [whitened cost].
     """
     names = " + ".join(beam[0].model.names) or "the baseline"
-    curves = ", as a curve" if any(effect.general for effect in library) else ""
+    curves = ", as a curve" if any(effect.search.general for effect in library) else ""
     progress(f"round {number}: {names}, and what else{curves}", 1 - 0.9 * 0.75 ** (number - 1))
 
     def tries(member: Fit) -> tuple[list[Fit], dict[str, float]]:
@@ -427,7 +428,7 @@ def search_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
 def _begin_beside(calibration: Calibration, start: Hypothesis) -> Outcome:
     """The search beside an unknown force, with up to ``rules.CREDIBLE`` effects."""
     first = calibration.preparation
-    library = tuple(effect for effect in first.library if not effect.general and not effect.element)
+    library = tuple(effect for effect in first.library if not effect.search.general and not effect.search.element)
     preparation = replace(first, start=start, library=library)
     calibration = calibrate(preparation, start, calibration.floor, 0, 0, no_progress)
     return begin_search(calibration, no_progress, rules.CREDIBLE)

@@ -48,8 +48,8 @@ def describe(current: Fit, library: tuple[Effect, ...]) -> Fit:
 
 def _describes(effect: Effect) -> bool:
     """Whether ``effect`` is a curve over the state or a memory of the path, without contacts and further lines."""
-    over_state = effect.over in ("q", "v") or effect.by_travel
-    return effect.channel == "plant" and over_state and effect.guard is None and not effect.after
+    over_state = effect.over in ("q", "v") or effect.solver.by_travel
+    return effect.channel == "plant" and over_state and effect.solver.guard is None and not effect.search.after
 
 
 def _closer(more: Fit, less: Fit) -> bool:

@@ -28,7 +28,6 @@ from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis, Problem, orthonormal
 from emps_design.discrepancy.unknown_force import states_of
-from emps_design.effects.two_mass import has_play
 from emps_design.errors import SimulationError
 
 Forces = tuple[np.ndarray, ...]  # one array (n,) [N] per record
@@ -148,7 +147,7 @@ def effect_shares(hypothesis: Hypothesis) -> tuple[Share, ...]:
         exercised = float(np.linalg.norm(here)) > rules.EXERCISED * np.sqrt(here.size)
         weighed = tuple(rows[i] for rows in shares[1:])
         by_effect.append(
-            Share(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=has_play(model.effects[i]))
+            Share(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=bool(model.effects[i].play))
         )
     return tuple(by_effect)
 
@@ -325,7 +324,7 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Share,
     shape, and never stands beside something unknown.
     """
     extended = _without(
-        extended, [effect.name for effect in extended.model.effects if effect.general or effect.element]
+        extended, [effect.name for effect in extended.model.effects if effect.search.general or effect.search.element]
     )
     withdrawn: list[Share] = []
     refitted = False

@@ -337,7 +337,7 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
         chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, cost)))
         if chosen is not None:
             return chosen
-    return NextExperiment(get_effect(kind_of(named[0])).experiment) if named else None
+    return NextExperiment(get_effect(kind_of(named[0])).words.experiment) if named else None
 
 
 def what_to_record(hypothesis: Hypothesis, over: list[str]) -> NextExperiment:
@@ -514,7 +514,7 @@ def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str
     if apart.over_noise < needed:
         return (
             f"no motion within what the records show tells {names}: at best ({instruction(excitation)}) they are {far} "
-            f"apart, where {needed:.1f} decide; beyond it, {effect.experiment}"
+            f"apart, where {needed:.1f} decide; beyond it, {effect.words.experiment}"
         )
     return (
         f"{instruction(excitation)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} "

@@ -168,7 +168,7 @@ def _finding(validation: Validation, index: int) -> Finding:
         gap_after=force_rms(extended),
         confirmed=validation.confirmed.get(effect.name),
         equivalents=tuple(dict.fromkeys(map(kind_of, validation.equivalents.get(effect.name, ())))),
-        remedy=effect.remedy,
+        remedy=effect.words.remedy,
         note="; ".join(
             [_note(outcome.calibration.preparation, effect.channel, record), *earlier_instants(validation, index)]
         ),
@@ -260,7 +260,7 @@ def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[st
         return {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text}
 
     library = calibration.preparation.library
-    absent = [effect for effect in library if effect.name not in named and not effect.after]
+    absent = [effect for effect in library if effect.name not in named and not effect.search.after]
     slowest_first = sorted(absent, key=lambda effect: bool(effect.linear))  # those that need simulations
     rows = {entry["effect"]: entry for entry in side_by_side(row, [(effect,) for effect in slowest_first])}
     return [rows[effect.name] for effect in absent]

@@ -18,7 +18,6 @@ from emps_design.discrepancy.problem import Hypothesis
 from emps_design.discrepancy.starts import Start, Tangent, bent, either_baseline, screen, starts, tangent
 from emps_design.discrepancy.unknown_force import missing_force
 from emps_design.effects import Effect
-from emps_design.effects.two_mass import has_play
 
 REFINED = 2  # starts of each effect that get a short fit
 SHORT_STEPS = 4
@@ -141,7 +140,7 @@ def _short_fit(start: Start, begin: Candidate, absorbed: Tangent, steps: int) ->
     def free_residual(model: Candidate) -> np.ndarray:
         return free(start.hypothesis.with_model(model).residual("fit"))
 
-    if begin is start.model and has_play(begin.effects[-1]):
+    if begin is start.model and begin.effects[-1].play:
         begin = simplex(begin, own, free_residual, SIMPLEX)
     return descend(begin, own, free_residual, steps)
 
@@ -170,9 +169,8 @@ def _fitted(begin: Hypothesis) -> Fit:
     met = {(slot.effect, slot.place, slot.record) for slot in bounds_met(ended)}
     if met:
         ended = fit(begin, slots=tuple(s for s in begin.model.slots() if (s.effect, s.place, s.record) not in met))
-    return (
-        ended if has_play(begin.model.effects[-1]) else play_anew(ended)
-    )  # the short fit of the last effect began with that
+    # The short fit of a last effect with play began with that.
+    return ended if begin.model.effects[-1].play else play_anew(ended)
 
 
 def _settled(fitted: Fit) -> Fit:

@@ -13,7 +13,6 @@ from emps_design.discrepancy.noise_floor import PIECE
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.effects import Motion, kind_of
-from emps_design.effects.two_mass import GAP, has_play
 from emps_design.errors import SimulationError
 from emps_design.records import Record
 
@@ -112,7 +111,7 @@ def weighed(fitted: Fit) -> Fit | None:
     A burst of a saturated loop changes as soon as any parameter moves, and misleads a fit. A model with play is not
     weighted: play bounces at every reversal, and little would be left to determine it.
     """
-    bounces = any(map(has_play, fitted.model.effects))
+    bounces = any(effect.play for effect in fitted.model.effects)
     if bounces or max(float(loud.max()) for loud in fitted.loudness) < rules.LOUD:
         return None
     problem = replace(fitted.problem, loudness=fitted.loudness)
@@ -132,7 +131,8 @@ def play_anew(fitted: Fit) -> Fit:
 
 
 def _bounces(fitted: Fit) -> bool:
-    return any(map(has_play, fitted.model.effects)) and bool(fitted.innovations) and not fitted.problem.states
+    bounces = any(effect.play for effect in fitted.model.effects)
+    return bounces and bool(fitted.innovations) and not fitted.problem.states
 
 
 def _over_surfaces(fitted: Fit, part: str) -> Fit:
@@ -184,8 +184,9 @@ def admissible(fitted: Fit) -> bool:
 
 def _closed(fitted: Fit) -> bool:
     """Whether a gap of play is within its standard deviation of 0: it is then an elastic coupling."""
-    effects = enumerate(zip(fitted.model.effects, fitted.model.values, strict=True))
-    return any(has_play(effect) and values[0, GAP] < fitted.std(index, GAP) for index, (effect, values) in effects)
+    model = fitted.model
+    gaps = [(index, effect.place(effect.play)) for index, effect in enumerate(model.effects) if effect.play]
+    return any(model.values[index][0, place] < fitted.std(index, place) for index, place in gaps)
 
 
 def _lines_apart(fitted: Fit) -> bool:
@@ -196,10 +197,9 @@ def _lines_apart(fitted: Fit) -> bool:
     model = fitted.model
     travel = max(float(np.ptp(record.q)) for record in fitted.problem.records)
     for index, effect in enumerate(model.effects):
-        if not (effect.after and effect.repeats):
+        if not (effect.search.after and effect.repeats):
             continue
-        names = [parameter.name for parameter in effect.parameters]
-        amplitude, repeat = names.index(effect.linear[0]), names.index(effect.repeats)
+        amplitude, repeat = effect.place(effect.linear[0]), effect.place(effect.repeats)
         if model.values[index][0, amplitude] < rules.SURE * fitted.std(index, amplitude):
             return False
         alike = [i for i, other in enumerate(model.effects) if kind_of(other.name) == kind_of(effect.name)]
@@ -213,11 +213,11 @@ def plausible(hypothesis: Hypothesis) -> bool:
     """Whether the parameters of every effect are plausible on the motion of some record."""
     model, motions = hypothesis.model, [_motion(record) for record in hypothesis.problem.records]
     for index, effect in enumerate(model.effects):
-        if effect.plausible is None:
+        if effect.search.plausible is None:
             continue
         rows = [model.parameters(i)[index] for i in range(len(motions))]
         tables = [{p.name: float(x) for p, x in zip(effect.parameters, row, strict=True)} for row in rows]
-        if not any(effect.plausible(table, motion) for table, motion in zip(tables, motions, strict=True)):
+        if not any(effect.search.plausible(table, motion) for table, motion in zip(tables, motions, strict=True)):
             return False
     return True
 

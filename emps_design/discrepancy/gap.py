@@ -185,9 +185,9 @@ def _proposals(hypothesis: Hypothesis, index: int) -> list[np.ndarray]:
     if effect.channel == "controller":
         proposed = propose_command(effect, record, check_law(record, problem.axis, ()).gap)
         return [] if proposed is None else [np.where(own, proposed, row)]
-    if effect.propose is None:
+    if effect.search.propose is None:
         return []
     missing = missing_force(hypothesis.with_model(model.without(index)))[0]
-    tables = effect.propose(missing.motion, missing.force, model.baseline, missing.away)
+    tables = effect.search.propose(missing.motion, missing.force, model.baseline, missing.away)
     full = [[t.get(p.name, old) for p, old in zip(effect.parameters, row, strict=True)] for t in tables]
     return [np.where(own, values, row) for values in full]

@@ -131,12 +131,12 @@ def law_voltage(record: Record, axis: Axis) -> np.ndarray:
 
 def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarray | None:
     """Parameters of a controller effect that explain ``gap`` (n,) [V] best, or None."""
-    if effect.propose is None:
+    if effect.search.propose is None:
         return None
     nothing = np.zeros(len(record))
     motion = Motion(record.t, record.q, nothing, nothing, nothing, record.period, record.u)
     tried = []
-    for table in effect.propose(motion, gap, np.zeros(4), np.ones(len(record), bool)):
+    for table in effect.search.propose(motion, gap, np.zeros(4), np.ones(len(record), bool)):
         values = np.array([min(max(table[p.name], p.lower), p.upper) for p in effect.parameters])
         tried.append((float(np.var(gap - command_of(effect, values, record))), values))
     return min(tried, key=lambda pair: pair[0])[1] if tried else None

@@ -85,7 +85,7 @@ def screen(current: Fit, library: tuple[Effect, ...], absorbed: Tangent) -> list
     """Starts of each effect of ``library`` that ``current`` does not have, the most promising of each first."""
     missing = missing_force(current)
     names = current.model.names
-    absent = [effect for effect in library if effect.name not in names and effect.after in ("", *names)]
+    absent = [effect for effect in library if effect.name not in names and effect.search.after in ("", *names)]
     # Effects of drive and sensor, last in a library, take longest; short ones at the end keep both cores busy.
     tried = side_by_side(starts, [(current, effect, missing, absorbed) for effect in reversed(absent)])
     return [some for some in reversed(tried) if some]
@@ -149,9 +149,9 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
         return []  # without a switched-off motor it equals viscous friction
     unknown = problem.states or tuple(np.zeros((gap.force.size, 0)) for gap in missing)
     for gap, split, states in zip(missing, problem.splits, unknown, strict=True):
-        if effect.propose is not None:
+        if effect.search.propose is not None:
             force = np.where(split.used, gap.force, 0.0)  # what confirms stays closed
-            proposed = effect.propose(gap.motion, force, model.baseline, gap.away)
+            proposed = effect.search.propose(gap.motion, force, model.baseline, gap.away)
             shapes = [effect.completed(shape) for shape in proposed]
         else:
             shapes = grid(effect)
@@ -221,7 +221,7 @@ def at_first_sight(hypothesis: Hypothesis, library: tuple[Effect, ...]) -> dict[
     One simulation and regressions, for effects with columns whose shape is known. What mass, friction and offset absorb
     does not count. It is the first output of a process, so it imports no filter package.
     """
-    quick = [effect for effect in library if effect.regressor is not None and effect.propose is None]
+    quick = [effect for effect in library if effect.regressor is not None and effect.search.propose is None]
     explained, total = dict.fromkeys((effect.label for effect in quick), 0.0), 0.0
     for missing in _of_blocks(hypothesis):
         motion, index = missing.motion, thin(missing.away)
@@ -268,7 +268,7 @@ def _derivatives(q: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
 def by_signature(screened: list[list[Start]], absorbed: Tangent) -> dict[str, float]:
     """Share of the residual that the best start of each effect explains to first order, by label."""
     total = float(absorbed.residual @ absorbed.residual)
-    best = (some[0] for some in screened if not some[0].model.effects[-1].general)
+    best = (some[0] for some in screened if not some[0].model.effects[-1].search.general)
     return {start.model.effects[-1].label: start.gain / total for start in best} if total > 0 else {}
 
 

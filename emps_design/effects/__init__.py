@@ -7,7 +7,17 @@ imported. It is a plain import: the file's code runs.
 
 from __future__ import annotations
 
-from emps_design.effects.effect import Effect as Effect, Motion as Motion, Parameter as Parameter, kind_of as kind_of
+from emps_design.effects.effect import (
+    Claims as Claims,
+    Effect as Effect,
+    Estimation as Estimation,
+    Motion as Motion,
+    Parameter as Parameter,
+    Search as Search,
+    Solver as Solver,
+    Words as Words,
+    kind_of as kind_of,
+)
 from emps_design.effects.library import EFFECTS as EFFECTS
 from emps_design.registry import Registry
 

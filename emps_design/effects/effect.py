@@ -51,7 +51,8 @@ SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of
 CHANNELS = ("controller", "actuator", "plant", "sensor")
 VIEWS = ("v", "q", "t", "tau", "u", "loop", "step")
 ADDED = ("force", "dry", "inertia")  # hooks that add force [N], dry friction [N] and mass [kg] to the axis
-SCALAR_HOOKS = (*ADDED, "command", "sensor", "delay", "guard", "jump_time")
+EVENTS = ("guard", "jump_time")  # hooks of the solver
+SCALAR_HOOKS = (*ADDED, "command", "sensor", "delay", *EVENTS)
 
 Kernel = Callable[..., float]
 Parameters = Mapping[str, float]
@@ -135,8 +136,97 @@ class Motion:
 
 
 @dataclass(frozen=True)
+class Estimation:
+    """How an identification gives the parameters.
+
+    ``to_linear``/``from_linear`` translate between parameters and the coefficients of the regressor's columns; by
+    default the coefficients are the linear parameters themselves.
+    ``identified_by``: for each model or term of ``identify`` that has the effect among its parameters, the function
+    that takes those to the effect's own.
+    """
+
+    to_linear: Callable[[Parameters], np.ndarray] | None = None
+    from_linear: Callable[[np.ndarray, Parameters], dict[str, float]] | None = None
+    identified_by: Mapping[str, Callable[[Parameters], dict[str, float]]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Solver:
+    """What a simulation may know of the hooks: where they are not smooth, and which exact solution they have.
+
+    ``guard``      changes sign where the kernels are not smooth (contact, play); located as an event
+    ``jump_time``  s, ``jump_time(..., t, ...)``: the next instant after ``t`` at which a kernel jumps in time
+    ``lag``        s, time constant: the effect is a first-order lag of the motor force and nothing else, as ``force``
+                   and ``rate`` say too
+    ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else,
+                   as ``force`` says too; the impedance law can model it
+    ``affine``     ``affine(p) -> (lower, upper)``: with these parameters ``force`` and ``rate`` are affine in ``q``,
+                   ``v``, ``x`` as long as the first own state is within that range [its unit], above it, or below it
+                   (infinite: everywhere), and read neither ``t`` nor ``tau``, and ``dry`` and ``inertia`` never
+                   change; a simulation steps events only. None: they are not
+    ``by_travel``  True: the one own state is a memory of the path: ``rate`` is proportional to ``v``, affine in ``x``
+                   for each direction, and reads only ``level`` besides; ``force`` is proportional to ``x``
+    """
+
+    guard: Kernel | None = None
+    jump_time: Kernel | None = None
+    lag: Kernel | None = None
+    slopes: Callable[[np.ndarray], tuple[float, float]] | None = None
+    affine: Callable[[np.ndarray], tuple[float, float] | None] | None = None
+    by_travel: bool = False
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a diagnosis looks for the effect.
+
+    ``propose(motion, residual, b, away)`` looks at the force residual (n,) [N] of the inverse model, trusted where
+    ``away`` (n,) is True (away from reversals), and returns starting points for a fit: dicts of parameters, in which
+    linear ones may be left out. None: every combination of the parameters' ``starts``.
+    ``plausible(parameters, motion)`` says whether fitted numbers still describe this effect on that motion: a stop that
+    acts on most of the stroke is a spring, a ripple longer than a third of it is no ripple. None: they always do.
+    ``confused_with``: names of the effects that look alike.
+    ``general``: a curve of any shape, which could stand in for other physics: tried after all other effects.
+    ``element``: one of several whose sum has any shape; with an unknown effect present it may be part of that.
+    ``lines``: how many of it, of different shape, one machine may have; ``after`` is the name of the one before.
+    """
+
+    propose: Callable[..., list[dict[str, float]]] | None = None
+    plausible: Callable[[Parameters, Motion], bool] | None = None
+    confused_with: tuple[str, ...] = ()
+    general: bool = False
+    element: bool = False
+    lines: int = 1
+    after: str = ""
+
+
+@dataclass(frozen=True)
+class Words:
+    """What to tell whoever has the effect: ``where`` a record shows it, the ``experiment`` that tells it from others,
+    and the ``remedy``."""
+
+    where: str = ""
+    experiment: str = ""
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What the contract tests hold the kernels to.
+
+    ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
+    ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
+    """
+
+    parity: str = ""
+    passive: bool = False
+
+
+@dataclass(frozen=True)
 class Effect:
-    """One physical effect: its words, its parameters, its kernels and its regressor.
+    """One physical effect: its physics, then in groups what an identification, a solver, a search and a reader ask.
+
+    ``channel`` is where it acts; ``motion`` is "rotary" of what only an axis that turns has, "" of the others.
 
     Hooks (None: the effect does not act there):
 
@@ -146,113 +236,76 @@ class Effect:
     ``command``    V, added to the controller's output (the recorded ``u`` contains it)
     ``actuator``   ``actuator(u, p) -> V``, static map from the recorded voltage to the one that acts
     ``delay``      s, between the recorded voltage and the one that acts
-    ``lag``        s, time constant: the effect is a first-order lag of the motor force and nothing else. ``force`` and
-                   ``rate`` give the same; the simulation uses the exact solution instead of stepping them
-    ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else.
-                   ``force`` gives the same; the simulation uses the exact solution, and the impedance law can
-                   model it
-    ``affine``     ``affine(p) -> (lower, upper)``: with these parameters ``force`` and ``rate`` are affine in ``q``,
-                   ``v``, ``x`` as long as the first own state is within that range [its unit], above it, or below it
-                   (infinite: everywhere), and read neither ``t`` nor ``tau``, and ``dry`` and ``inertia`` never
-                   change; the simulation uses the exact solution and steps events only. None: they are not
+    ``sensor``     m, added to the position that the encoder reports
+    ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own ``states``;
+                   ``level`` is the Coulomb level L of the moment [N]
+    ``initial``    ``initial(q0, p, b) -> tuple`` own states at rest at ``q0``. None: all 0
+
+    What else it is:
+
+    ``takes_dry``  True: ``rate`` and ``force`` stand in for the set-valued friction (presliding)
     ``winding``    True: the ``slopes`` are gone where the winding is open, and other effects see the motor force less
                    what they brake. A search needs a record with the motor switched off for a while
-    ``sensor``     m, added to the position that the encoder reports
-    ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own states;
-                   ``level`` is the Coulomb level L of the moment [N]
-    ``initial``    ``initial(q0, p, b) -> tuple`` own states at rest at ``q0``
-    ``guard``      changes sign where the kernels are not smooth (contact, play); located as an event
-    ``jump_time``  s, ``jump_time(..., t, ...)``: the next instant after ``t`` at which a kernel jumps in time
-    ``takes_dry``  True: ``rate`` and ``force`` stand in for the set-valued friction (presliding)
-    ``by_travel``  True: the one own state is a memory of the path: ``rate`` is proportional to ``v``, affine in ``x``
-                   for each direction, and reads only ``level`` besides; ``force`` is proportional to ``x``. The
-                   simulation uses the exact solution
+    ``play``       the parameter [m] that is the width of a gap within which nothing is transmitted
+    ``repeats``    the parameter [m] after which it repeats along the travel; its slope over position then averages out
+    ``over``       the variable that it goes by: "v", "q", "t", "tau", "u", a "loop" of position, or after a "step"
 
     ``regressor(motion, shape, b)`` returns the columns, shape (n_samples, n_linear) [N per unit of the coefficient],
-    of the extra force on the left-hand side of the inverse dynamic model; None where measured signals give no column.
-    ``to_linear``/``from_linear`` translate between parameters and the coefficients of those columns; by default the
-    coefficients are the linear parameters themselves.
-
-    ``plausible(parameters, motion)`` says whether fitted numbers still describe this effect on that motion: a stop that
-    acts on most of the stroke is a spring, a ripple longer than a third of it is no ripple. None: they always do.
-
-    ``propose(motion, residual, b, away)`` looks at the force residual (n,) [N] of the inverse model, trusted where
-    ``away`` (n,) is True (away from reversals), and returns starting points for a fit: dicts of parameters, in which
-    linear ones may be left out. None: every combination of the parameters' ``starts``.
-
+    of the extra force on the left-hand side of the inverse dynamic model; None where measured signals give no column,
+    as of own states, and no parameter is linear.
     ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
     static actuator map); None where own states are needed.
-    ``over``: the variable to plot it over, "v", "q", "t", "tau", "u", a "loop" of position, or after a "step".
-    ``general``: a curve of any shape, which could stand in for other physics: tried after all other effects.
-    ``element``: one of several whose sum has any shape; with an unknown effect present it may be part of that.
-    ``motion``: "rotary" of what only an axis that turns has, "" of the others.
-    ``lines``: how many of it, of different shape, one machine may have; ``after`` is the name of the one before.
-    ``repeats``: the parameter [m] after which it repeats along the travel; its slope over position then averages out.
-    ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
-    ``identified_by``: for each model or term of ``identify`` that has the effect among its parameters, the function
-    that takes those to the effect's own.
-    ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
     ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
     """
 
     name: str
     label: str
-    channel: str
     equation: str
     source: str
     parameters: tuple[Parameter, ...]
+    channel: str = "plant"
+    motion: str = ""
     force: Kernel | None = None
     dry: Kernel | None = None
     inertia: Kernel | None = None
     command: Kernel | None = None
     actuator: Kernel | None = None
     delay: Kernel | None = None
-    lag: Kernel | None = None
-    slopes: Callable[[np.ndarray], tuple[float, float]] | None = None
-    affine: Callable[[np.ndarray], tuple[float, float] | None] | None = None
-    winding: bool = False
     sensor: Kernel | None = None
+    states: tuple[Quantity, ...] = ()
     rate: Callable[..., None] | None = None
     initial: Callable[..., tuple[float, ...]] | None = None
-    guard: Kernel | None = None
-    jump_time: Kernel | None = None
     takes_dry: bool = False
-    by_travel: bool = False
-    states: tuple[Quantity, ...] = ()
-    regressor: Callable[[Motion, Parameters, np.ndarray], np.ndarray] | None = None
-    to_linear: Callable[[Parameters], np.ndarray] | None = None
-    from_linear: Callable[[np.ndarray, Parameters], dict[str, float]] | None = None
-    no_regressor: str = ""
-    propose: Callable[..., list[dict[str, float]]] | None = None
-    plausible: Callable[[Parameters, Motion], bool] | None = None
-    expression: Callable[..., sympy.Expr] | None = None
-    over: str = "v"
-    motion: str = ""
-    general: bool = False
-    element: bool = False
-    lines: int = 1
-    after: str = ""
+    winding: bool = False
+    play: str = ""
     repeats: str = ""
-    where: str = ""
-    confused_with: tuple[str, ...] = ()
-    experiment: str = ""
-    remedy: str = ""
+    over: str = "v"
+    regressor: Callable[[Motion, Parameters, np.ndarray], np.ndarray] | None = None
+    expression: Callable[..., sympy.Expr] | None = None
+    estimation: Estimation = Estimation()
+    solver: Solver = Solver()
+    search: Search = Search()
+    words: Words = Words()
+    claims: Claims = Claims()
     checks: tuple[tuple[dict[str, float], dict[str, Any], float], ...] = ()
-    identified_by: Mapping[str, Callable[[Parameters], dict[str, float]]] = field(default_factory=dict)
-    passive: bool = False
-    parity: str = ""
 
     def __post_init__(self) -> None:
         if self.channel not in CHANNELS:
             raise AxisError(f"effect {self.name}: channel {self.channel!r}, expected one of {', '.join(CHANNELS)}")
         if self.over not in VIEWS:
             raise AxisError(f"effect {self.name}: over {self.over!r}, expected one of {', '.join(VIEWS)}")
-        if self.regressor is None and not self.no_regressor:
-            raise AxisError(f"effect {self.name}: give a regressor, or say in no_regressor why there is none")
-        if (self.rate is None) != (not self.states) or (self.rate is None) != (self.initial is None):
-            raise AxisError(f"effect {self.name}: states, rate and initial come together")
-        if self.by_travel and (len(self.states) != 1 or self.force is None):
+        if (self.regressor is None) != (not self.linear):
+            raise AxisError(f"effect {self.name}: a regressor and linear parameters come together")
+        if (self.rate is None) != (not self.states):
+            raise AxisError(f"effect {self.name}: states and rate come together")
+        if self.solver.by_travel and (len(self.states) != 1 or self.force is None):
             raise AxisError(f"effect {self.name}: a memory of the path is one own state with a force")
+        names = [p.name for p in self.parameters]
+        for length in filter(None, (self.play, self.repeats)):
+            if length not in names:
+                raise AxisError(
+                    f"effect {self.name}: found no parameter {length!r}, expected one of {', '.join(names)}"
+                )
 
     def acts_on(self, motion: str) -> bool:
         """Whether an axis of this ``motion``, "linear" or "rotary", can have the effect."""
@@ -260,19 +313,19 @@ class Effect:
 
     def confusable(self, other: Effect) -> bool:
         """Whether this effect and ``other`` are known to be confused, whichever of the two says so."""
-        return other.name in self.confused_with or self.name in other.confused_with
+        return other.name in self.search.confused_with or self.name in other.search.confused_with
 
     def several(self) -> tuple[Effect, ...]:
-        """Return the effect and its further ``lines``, numbered.
+        """Return the effect and its further lines, numbered.
 
         >>> from emps_design.effects import get_effect
         >>> [line.name for line in get_effect("position_ripple").several()][:2]
         ['position_ripple', 'position_ripple 2']
         """
         effects = [self]
-        for number in range(2, self.lines + 1):
+        for number in range(2, self.search.lines + 1):
             name, label = f"{self.name} {number}", f"{self.label}, line {number}"
-            effects.append(replace(self, name=name, label=label, after=effects[-1].name))
+            effects.append(replace(self, name=name, label=label, search=replace(self.search, after=effects[-1].name)))
         return tuple(effects)
 
     @property
@@ -284,6 +337,18 @@ class Effect:
     def shape(self) -> tuple[str, ...]:
         """Names of the other parameters."""
         return tuple(p.name for p in self.parameters if not p.linear)
+
+    def place(self, name: str) -> int:
+        """The place of the parameter ``name`` among all."""
+        return [p.name for p in self.parameters].index(name)
+
+    def hook(self, name: str) -> Callable[..., Any] | None:
+        """The hook ``name``, of the physics or of the solver."""
+        return getattr(self.solver if name in EVENTS else self, name)
+
+    def at_rest(self, q0: float, p: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """The own states at rest at ``q0`` [m]."""
+        return np.zeros(len(self.states)) if self.initial is None else np.array(self.initial(q0, p, b), dtype=float)
 
     def completed(self, parameters: Parameters) -> dict[str, float]:
         """``parameters`` with the defaults of those that are not given."""
@@ -345,14 +410,14 @@ class Effect:
 
     def coefficients(self, parameters: Parameters) -> np.ndarray:
         """Coefficients of the regressor's columns that belong to ``parameters``."""
-        if self.to_linear is not None:
-            return np.asarray(self.to_linear(parameters), dtype=float)
+        if self.estimation.to_linear is not None:
+            return np.asarray(self.estimation.to_linear(parameters), dtype=float)
         return np.array([parameters[name] for name in self.linear])
 
     def from_coefficients(self, coefficients: np.ndarray, shape: Parameters) -> dict[str, float]:
         """Parameters that belong to the regressor's ``coefficients`` at the given ``shape`` parameters."""
-        if self.from_linear is not None:
-            return self.from_linear(coefficients, shape)
+        if self.estimation.from_linear is not None:
+            return self.estimation.from_linear(coefficients, shape)
         return {**dict(zip(self.linear, map(float, coefficients), strict=True)), **dict(shape)}
 
     def to_dict(self) -> dict[str, Any]:
@@ -363,10 +428,10 @@ class Effect:
             "channel": self.channel,
             "equation": self.equation,
             "source": self.source,
-            "where": self.where,
-            "confused_with": list(self.confused_with),
-            "experiment": self.experiment,
-            "remedy": self.remedy,
+            "where": self.words.where,
+            "confused_with": list(self.search.confused_with),
+            "experiment": self.words.experiment,
+            "remedy": self.words.remedy,
             "parameters": [
                 {
                     "name": p.name,

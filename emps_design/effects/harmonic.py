@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.effects import guesses
-from emps_design.effects.effect import Motion, Parameter, Parameters
+from emps_design.effects.effect import Estimation, Motion, Parameter, Parameters
 from emps_design.effects.sizes import stroke_size
 
 if TYPE_CHECKING:
@@ -48,6 +48,9 @@ def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]
     sine, cosine = (float(c) for c in coefficients)
     rest = {name: value for name, value in shape.items() if name not in ("amplitude", "phase")}
     return {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), **rest}
+
+
+ESTIMATION = Estimation(to_linear, from_linear)
 
 
 def phase(zero: str) -> Parameter:

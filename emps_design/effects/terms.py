@@ -1,6 +1,6 @@
 """What an identification may have beside mass and friction, and in which parameters: a few of the effects.
 
-An effect whose ``identified_by`` has the name of a term takes the term's parameters to its own.
+An effect whose ``estimation.identified_by`` has the name of a term takes the term's parameters to its own.
 """
 
 from __future__ import annotations

@@ -15,12 +15,10 @@ from emps_design.effects.effect import COULOMB, VISCOUS, Effect, Parameter
 from emps_design.quantities import Quantity
 
 STATES = (Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s"))
-GAP = 0  # place of the gap among the numbers of play, where there is some
 LOWEST, HIGHEST = 5.0, 400.0  # Hz, between which a search looks for the resonance
 # What an axis file may give: a gantry with a long arm sways slowly, a small drive rings far beyond what a record shows.
 RESONANCES, DAMPINGS, SHARES = (0.1, 20_000.0), (0.0, 10.0), (1e-4, 0.9999)
 SETTLING = 2e-5  # s
-NO_REGRESSOR = "the load is a state that no measured signal gives"
 
 
 def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) -> tuple[Parameter, ...]:
@@ -30,27 +28,9 @@ def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) 
     """
     resonance, ratio = f"resonance of the two masses{pair}, free", "damping ratio of that resonance"
     return (
-        Parameter(
-            "frequency",
-            "f_n",
-            "Hz",
-            lower=LOWEST,
-            upper=HIGHEST,
-            starts=starts,
-            text=resonance,
-            allowed=RESONANCES,
-        ),
-        Parameter("damping", r"\zeta", "", lower=0.0, upper=1.0, starts=(damping,), text=ratio, allowed=DAMPINGS),
-        Parameter(
-            "share",
-            r"\mu",
-            "",
-            lower=0.01,
-            upper=0.95,
-            starts=(0.4,),
-            text=f"share of the mass {behind}",
-            allowed=SHARES,
-        ),
+        Parameter("frequency", "f_n", "Hz", LOWEST, HIGHEST, starts=starts, text=resonance, allowed=RESONANCES),
+        Parameter("damping", r"\zeta", "", 0.0, 1.0, starts=(damping,), text=ratio, allowed=DAMPINGS),
+        Parameter("share", r"\mu", "", 0.01, 0.95, starts=(0.4,), text=f"share of the mass {behind}", allowed=SHARES),
         Parameter(
             "load_friction",
             r"\lambda",
@@ -84,16 +64,6 @@ def affine(share: float, half: float) -> tuple[float, float] | None:
 def is_coupling(effect: Effect) -> bool:
     """Whether ``effect`` puts part of the mass behind a coupling, with play or without."""
     return effect.states == STATES
-
-
-def has_play(effect: Effect) -> bool:
-    """Whether ``effect`` is a coupling that transmits nothing within a gap.
-
-    >>> from emps_design.effects import get_effect
-    >>> has_play(get_effect("backlash")), has_play(get_effect("flexible_coupling"))
-    (True, False)
-    """
-    return is_coupling(effect) and effect.guard is not None
 
 
 def linear_coupling(frequency: float, damping: float, share: float) -> dict[str, float | str]:

@@ -38,7 +38,9 @@ def known_part(axis: Axis, model: str | Model) -> Axis:
     [1, 0]
     """
     own = _parts(model)
-    return axis.replace(effects=[entry for entry in axis.effects if not own.intersection(entry.effect.identified_by)])
+    return axis.replace(
+        effects=[entry for entry in axis.effects if not own.intersection(entry.effect.estimation.identified_by)]
+    )
 
 
 def identified_effects(model: str | Model, p: Mapping[str, float]) -> list[dict[str, Any]]:
@@ -49,9 +51,9 @@ def identified_effects(model: str | Model, p: Mapping[str, float]) -> list[dict[
     """
     own = _parts(model)
     return [
-        {"kind": effect.name, **effect.identified_by[part](p)}
+        {"kind": effect.name, **effect.estimation.identified_by[part](p)}
         for effect in known_effects().values()
-        for part in effect.identified_by
+        for part in effect.estimation.identified_by
         if part in own
     ]
 

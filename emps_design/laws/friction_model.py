@@ -35,8 +35,8 @@ class FrictionModel:
         m = axis.mechanics
         positive, negative = axis.damping, axis.damping
         for entry in axis.effects:
-            if entry.effect.slopes is not None:
-                slopes = entry.effect.slopes(entry.effect.values(entry.parameters))
+            if entry.effect.solver.slopes is not None:
+                slopes = entry.effect.solver.slopes(entry.effect.values(entry.parameters))
                 positive, negative = positive + float(slopes[0]), negative + float(slopes[1])
         return cls(m.mass, round(positive, 12), round(negative, 12), m.coulomb + m.offset, m.coulomb - m.offset)
 
@@ -93,4 +93,4 @@ class FrictionModel:
 
 def left_out(axis: Any) -> tuple[str, ...]:
     """Kinds of the effects of ``axis`` that X of (5) leaves out; name them wherever the model is used."""
-    return tuple(entry.kind for entry in axis.effects if entry.effect.slopes is None)
+    return tuple(entry.kind for entry in axis.effects if entry.effect.solver.slopes is None)

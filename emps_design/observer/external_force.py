@@ -55,8 +55,8 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
             u = np.array([effect.actuator(float(voltage), p) for voltage in u])
         elif effect.delay is not None:
             late += effect.delay(0.0, 0.0, 0.0, 0.0, (), p, b) / axis.sampling.period
-        elif effect.lag is not None:
-            lags.append(effect.lag(0.0, 0.0, 0.0, 0.0, (), p, b))
+        elif effect.solver.lag is not None:
+            lags.append(effect.solver.lag(0.0, 0.0, 0.0, 0.0, (), p, b))
         elif effect.command is None:
             kept.append(entry)
     u = _delay(u, late)

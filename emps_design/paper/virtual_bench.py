@@ -153,7 +153,6 @@ def friction_noise(q: float, v: float, t: float, tau: float, x: np.ndarray, p: n
 _NOISE = Effect(
     name="friction_noise",
     label="Noise of the friction",
-    channel="plant",
     equation=r"\tau = n(t)",
     source="first-order autoregressive, chosen",
     parameters=(
@@ -161,7 +160,6 @@ _NOISE = Effect(
         Parameter("doubling", "v_2", "m/s", text="speed at which the noise has doubled; the samples [N] follow"),
     ),
     force=friction_noise,
-    no_regressor="it is noise",
 )
 
 
@@ -182,7 +180,6 @@ def bend_of(velocity: np.ndarray, bench_numbers: Mapping[str, float] | None = No
 _BEND = Effect(
     name="bent_friction",
     label="Friction that bends",
-    channel="plant",
     equation=r"\tau = F^{\pm} \mathrm{sign}(\dot q) (|\dot q| / 0.1)^n",
     source="nonlinear viscous friction of each direction, chosen",
     parameters=(
@@ -191,7 +188,6 @@ _BEND = Effect(
         Parameter("exponent", "n", "", text="power of the speed"),
     ),
     force=bent_friction,
-    no_regressor="of the bench only",
 )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emps_design.effects import Effect, Parameter
+from emps_design.effects import Effect, Parameter, Solver
 from emps_design.errors import InputError
 
 
@@ -37,7 +37,6 @@ def _wall_guard(q: float, v: float, t: float, tau: float, x: np.ndarray, p: np.n
 HAND = Effect(
     name="hand",
     label="Operator's hand",
-    channel="plant",
     equation=r"\tau_e = B_h (\dot q_i - \dot q) + K_h (q_i - q) - M_h \ddot q",
     source="mass, damper and spring towards an intended motion q_i",
     parameters=(
@@ -50,12 +49,10 @@ HAND = Effect(
     ),
     force=hand_force,
     inertia=_hand_inertia,
-    no_regressor="its intention is not measured",
 )
 WALL = Effect(
     name="wall",
     label="Wall",
-    channel="plant",
     equation=r"\tau_e = -K d (1 + c \dot d),\ d = \max(0, s (q - q_w))",
     source="contact with damping that grows with depth; K. Hunt, F. Crossley, J. Appl. Mech. 42 (1975)",
     parameters=(
@@ -65,8 +62,7 @@ WALL = Effect(
         Parameter("side", "s", "", lower=-1.0, upper=1.0),
     ),
     force=_wall_force,
-    guard=_wall_guard,
-    no_regressor="its contact is not measured",
+    solver=Solver(guard=_wall_guard),
 )
 
 

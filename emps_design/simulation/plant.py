@@ -61,12 +61,12 @@ def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, 
         return
     summed = [kernel for _, kernel in summed_of(effect, touching)]
     for row, hook in enumerate(HOOKS):
-        kernel = getattr(effect, hook)
+        kernel = effect.hook(hook)
         if kernel is not None and kernel not in summed:
             yield row, address(kernel, hook if hook in ("actuator", "rate") else "kernel")
     if effect.force is not None and not touching:
-        yield motion.SOLVED if effect.affine or effect.slopes else motion.UNSOLVED, address(effect.force)
-    if effect.by_travel and effect.force is not None:
+        yield motion.SOLVED if effect.solver.affine or effect.solver.slopes else motion.UNSOLVED, address(effect.force)
+    if effect.solver.by_travel and effect.force is not None:
         yield motion.MEMORY, address(effect.force)
     if touching:
         for row, kernel in ((motion.TOUCH, effect.force), (motion.TOUCH_MASS, effect.inertia)):
@@ -76,7 +76,7 @@ def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, 
 
 def touches_motion(effect: Effect) -> bool:
     """Whether ``effect`` acts between motor force and motion, not only on the signals around them."""
-    return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.guard, effect.jump_time))
+    return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.solver.guard, effect.solver.jump_time))
 
 
 def sees_command(effect: Effect) -> bool:
@@ -92,7 +92,7 @@ def reads_command(effect: Effect) -> bool:
 def is_smooth(effect: Effect) -> bool:
     """Whether ``effect`` is smooth between jumps in time: no states, no guards, a mass independent of the motion."""
     weighs = effect.inertia is not None and _reads(effect.inertia, _STATE)
-    return not (effect.states or effect.guard or weighs)
+    return not (effect.states or effect.solver.guard or weighs)
 
 
 def how_solved(stepped: Sequence[Effect], lags: int) -> int:
@@ -102,10 +102,10 @@ def how_solved(stepped: Sequence[Effect], lags: int) -> int:
     some of these read the command. At most one effect may be affine in pieces.
     """
     solved, others = (
-        [effect for effect in stepped if effect.affine],
-        [effect for effect in stepped if not effect.affine],
+        [effect for effect in stepped if effect.solver.affine],
+        [effect for effect in stepped if not effect.solver.affine],
     )
-    pieces = sum(1 for effect in solved if effect.guard)
+    pieces = sum(1 for effect in solved if effect.solver.guard)
     rubs = any(effect.takes_dry for effect in stepped)
     if not solved or pieces > 1 or lags > 1 or rubs or not all(map(is_smooth, others)):
         return 0
@@ -215,7 +215,7 @@ class Plant:
         self._hands, self._held = list(hands), [i for i, hand in hands.items() if hand.held]
         self._lag = axis.drive.current_time_constant
         # A lag of the motor force needs no state: up to two lags, with the current loop's, have a closed form.
-        lags = [i for i, effect in enumerate(self.effects) if effect.lag]
+        lags = [i for i, effect in enumerate(self.effects) if effect.solver.lag]
         self.lagging = lags[: 1 if self._lag > 0 else 2]
         twice = len(self.lagging) + (self._lag > 0) > 1
         self._free = any(effect.takes_dry for effect in self.effects)
@@ -232,8 +232,8 @@ class Plant:
         ]
         self._hooks, self._starts = self._table()
         moving = [effect for i, effect in enumerate(self.effects) if i not in (*self.lagging, *self._held)]
-        dynamic = any((e.states and not e.by_travel) or e.guard for e in moving)
-        stepped = [effect for effect in moving if effect.slopes is None and touches_motion(effect)]
+        dynamic = any((e.states and not e.solver.by_travel) or e.solver.guard for e in moving)
+        stepped = [effect for effect in moving if effect.solver.slopes is None and touches_motion(effect)]
         self._exact = not stepped and not twice
         reads_force = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
         self._solved = 0 if environment else how_solved(stepped, len(self.lagging) + (self._lag > 0))
@@ -409,8 +409,8 @@ class Plant:
         """State index and range of every affine effect with the parameters ``p``; empty if one is not affine."""
         pieces = []
         for i, effect in enumerate(self.effects if self._solved else ()):
-            if effect.affine:
-                ends = effect.affine(p[self.parameters_at[i] : self.parameters_at[i + 1]])
+            if effect.solver.affine:
+                ends = effect.solver.affine(p[self.parameters_at[i] : self.parameters_at[i + 1]])
                 if ends is None:
                     return []
                 pieces.append((self.states_at[i], *ends))
@@ -465,9 +465,9 @@ class Plant:
             values = p[self.parameters_at[i] : self.parameters_at[i + 1]]
             for place, kernel in summed_of(effect, i in self._outside):
                 settings[place] += kernel(q0, v0, 0.0, 0.0, _EMPTY, values, b)
-            if effect.slopes is not None:
-                settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.slopes(values)
-                settings[motion.BRAKING] += effect.slopes(values)[0] if effect.winding else 0.0
+            if effect.solver.slopes is not None:
+                settings[[motion.VISCOUS_P, motion.VISCOUS_N]] += effect.solver.slopes(values)
+                settings[motion.BRAKING] += effect.solver.slopes(values)[0] if effect.winding else 0.0
         mass = settings[motion.MASS]
         settings[motion.MOBILITY] = 1.0 / mass if mass != 0.0 else np.inf
         states = self._states + (4 if energy else 0)
@@ -495,7 +495,11 @@ class Plant:
         ends = [(self.effects[i], self.parameters_at[i], self.parameters_at[i + 1]) for i in self.lagging]
         lags = [
             self._lag,
-            *(effect.lag(q0, v0, 0.0, 0.0, _EMPTY, p[start:end], b) for effect, start, end in ends if effect.lag),
+            *(
+                effect.solver.lag(q0, v0, 0.0, 0.0, _EMPTY, p[start:end], b)
+                for effect, start, end in ends
+                if effect.solver.lag
+            ),
         ]
         first, second, *_ = *(lag for lag in lags if lag != 0.0), 0.0, 0.0
         # Equal time constants have no partial fractions; a relative difference of 1e-7 changes nothing that matters.

@@ -52,10 +52,17 @@ def test_the_list_is_the_folder():
 
 @all_effects
 def test_words_units_and_bounds(effect):
-    for text in (effect.label, effect.equation, effect.source, effect.where, effect.experiment, effect.remedy):
+    for text in (
+        effect.label,
+        effect.equation,
+        effect.source,
+        effect.words.where,
+        effect.words.experiment,
+        effect.words.remedy,
+    ):
         assert text
         assert "TODO" not in text
-    hook = next(getattr(effect, name) for name in (*SCALAR_HOOKS, "actuator") if getattr(effect, name) is not None)
+    hook = next(effect.hook(name) for name in (*SCALAR_HOOKS, "actuator") if effect.hook(name) is not None)
     assert len(inspect.getdoc(inspect.getmodule(hook)).splitlines()) >= 3
     assert len({p.name for p in effect.parameters}) == len(effect.parameters) > 0
     for p in effect.parameters:
@@ -66,27 +73,27 @@ def test_words_units_and_bounds(effect):
         assert all(p.lower <= start <= p.upper for start in p.starts)
         assert p.starts or p.scale > 0, f"{p.name} has neither starts nor a scale"
         assert not p.discrete or p.starts
-        assert p.linear or p.starts or p.per_record or effect.propose or p.scale
+        assert p.linear or p.starts or p.per_record or effect.search.propose or p.scale
 
 
 @all_effects
 def test_confused_with_names_effects_and_not_itself(effect):
     names = {other.name for other in EFFECTS}
-    assert set(effect.confused_with) <= names - {effect.name}
-    assert effect.confused_with
+    assert set(effect.search.confused_with) <= names - {effect.name}
+    assert effect.search.confused_with
 
 
 @all_effects
 def test_kernels_have_the_common_arguments(effect):
     for name in SCALAR_HOOKS:
-        kernel = getattr(effect, name)
+        kernel = effect.hook(name)
         if kernel is not None:
             assert list(inspect.signature(kernel).parameters) == ARGUMENTS
     if effect.actuator is not None:
         assert list(inspect.signature(effect.actuator).parameters) == ["u", "p"]
     if effect.rate is not None:
         assert list(inspect.signature(effect.rate).parameters) == [*ARGUMENTS, "level", "dx"]
-        assert len(effect.initial(0.1, effect.values(typical(effect)), B)) == len(effect.states)
+        assert effect.at_rest(0.1, effect.values(typical(effect)), B).shape == (len(effect.states),)
 
 
 @all_effects
@@ -101,7 +108,7 @@ def test_finite_everywhere_and_at_rest(effect):
     p = effect.values(typical(effect))
     for point in [*points(effect), {"q": 0.0, "v": 0.0, "t": 0.0, "tau": 0.0, "x": (0.0,) * len(effect.states)}]:
         for name in SCALAR_HOOKS:
-            kernel = getattr(effect, name)
+            kernel = effect.hook(name)
             if kernel is not None:
                 value = kernel(*(point[key] for key in ARGUMENTS[:5]), p, B)
                 assert isinstance(value, float)
@@ -116,7 +123,7 @@ def test_finite_everywhere_and_at_rest(effect):
 
 def having(*hooks):
     """Run over the effects that have one of ``hooks``."""
-    chosen = [effect for effect in EFFECTS if any(getattr(effect, hook) is not None for hook in hooks)]
+    chosen = [effect for effect in EFFECTS if any(effect.hook(hook) is not None for hook in hooks)]
     return pytest.mark.parametrize("effect", chosen, ids=lambda effect: effect.name)
 
 
@@ -132,10 +139,10 @@ def test_continuous_in_velocity_at_rest_but_for_the_dry_part(effect):
 @all_effects
 def test_declared_parity(effect):
     parameters = typical(effect)
-    if not effect.parity:
+    if not effect.claims.parity:
         assert effect.channel != "plant" or effect.states or effect.inertia, "a plain force should declare its parity"
         return
-    sign = {"odd": -1.0, "even": 1.0}[effect.parity]
+    sign = {"odd": -1.0, "even": 1.0}[effect.claims.parity]
     for point in points(effect):
         mirrored = {**point, "v": -point["v"]}
         assert effect.contribution(parameters, B, **mirrored) == pytest.approx(
@@ -162,7 +169,7 @@ def test_what_is_said_to_repeat_repeats(effect):
 def test_declared_passivity(effect):
     """Work taken over motions that end where they began, at rest; a spring may lend, nothing may give."""
     if effect.channel != "plant":
-        assert not effect.passive
+        assert not effect.claims.passive
         return
     rng = np.random.default_rng(11)
     least = math.inf
@@ -189,7 +196,7 @@ def test_declared_passivity(effect):
                 taken += float(np.trapezoid(mass * np.gradient(v, t) * v, t))
             scale = float(np.trapezoid(np.abs(force * v), t)) + 1e-12
             least = min(least, taken / scale)
-    if effect.passive:
+    if effect.claims.passive:
         assert least > -1e-3
     else:
         assert least < 1e-3, "it never gave work back: declare it passive, or give a check that shows it"
@@ -200,7 +207,6 @@ def test_regressor_times_coefficients_is_the_kernel(effect):
     # Differences of a measured position stand for derivatives in the check of a sensor, and want short steps.
     motion = stroke_motion(40000, 1e-4) if effect.sensor is not None else stroke_motion()
     if effect.regressor is None:
-        assert effect.no_regressor
         assert not effect.linear
         return
     every = {tuple(parameters.items()): parameters for parameters, *_ in effect.checks}
@@ -270,7 +276,7 @@ def test_jumps_in_time_are_where_the_kernel_says(effect):
         p, t, kernel = effect.values(parameters), 0.0, effect.force or effect.inertia
         jumps = []
         while t < 20.0 and math.isfinite(t):
-            t = effect.jump_time(0.0, 0.1, t, 0.0, (), p, B)
+            t = effect.solver.jump_time(0.0, 0.1, t, 0.0, (), p, B)
             jumps.append(t)
         assert np.all(np.diff(jumps[:-1]) > 0)
         for jump in jumps[:-1]:

@@ -45,9 +45,9 @@ def initial(q0, p, b):
     return (0.5 * q0,)
 
 EFFECT = Effect(
-    name="mine", label="Mine", channel="plant", equation="F", source="here",
+    name="mine", label="Mine", equation="F", source="here",
     parameters=(Parameter("size", "a", "N", lower=0.0, starts=(1.0,)),), force=force, rate=rate, initial=initial,
-    states=(Parameter("z", "z", "N"),), no_regressor="it has a state",
+    states=(Parameter("z", "z", "N"),),
 )
 """
 

@@ -29,15 +29,15 @@ class Reference:
         self.at = (2 + np.cumsum([0] + [len(effect.states) for effect in self.effects])).tolist()
         self.free = any(effect.takes_dry for effect in self.effects)
         self.bounds = (-np.inf, np.inf)
-        self.lags = [i for i, effect in enumerate(self.effects) if effect.lag is not None]
-        self.have = {hook: [i for i, effect in enumerate(self.effects) if getattr(effect, hook)] for hook in HOOKS}
+        self.lags = [i for i, effect in enumerate(self.effects) if effect.solver.lag is not None]
+        self.have = {hook: [i for i, effect in enumerate(self.effects) if effect.hook(hook)] for hook in HOOKS}
 
     def call(self, hook, i, t, y, tau):
         """One kernel of effect ``i``: a lag gets the force commanded, all others the force behind it."""
-        if self.effects[i].lag is None:
+        if self.effects[i].solver.lag is None:
             tau = self.acting(t, y, tau)
         own = y[self.at[i] : self.at[i + 1]]
-        return getattr(self.effects[i], hook)(y[0], y[1], t, tau, own, self.p[i], self.b)
+        return self.effects[i].hook(hook)(y[0], y[1], t, tau, own, self.p[i], self.b)
 
     def acting(self, t, y, tau):
         """Motor force [N] behind the lag, of which there is one at most here."""
@@ -63,7 +63,7 @@ class Reference:
         inside = min(max(t, self.bounds[0]), self.bounds[1])
         for i in self.have["rate"]:
             effect = self.effects[i]
-            own, force = slice(self.at[i], self.at[i + 1]), self.acting(t, y, tau) if effect.lag is None else tau
+            own, force = slice(self.at[i], self.at[i + 1]), self.acting(t, y, tau) if effect.solver.lag is None else tau
             effect.rate(y[0], y[1], inside, force, y[own], self.p[i], self.b, level, dy[own])
         return dy
 
@@ -92,7 +92,7 @@ class Reference:
             first = lambda t, y: y[1]  # noqa: E731
         found = [first]
         for i, effect in enumerate(self.effects):
-            if effect.guard is not None:
+            if effect.solver.guard is not None:
                 found.append(lambda t, y, i=i: self.call("guard", i, t, y, tau))
         return found
 
@@ -167,7 +167,7 @@ class Reference:
             jumps = [
                 self.call("jump_time", i, start + APART, y, tau)
                 for i, effect in enumerate(self.effects)
-                if effect.jump_time is not None
+                if effect.solver.jump_time is not None
             ]
             stop = min([end, *[jump for jump in jumps if jump > start]])
             self.bounds = (start + APART, stop - APART) if jumps else (-np.inf, np.inf)

@@ -6,7 +6,12 @@ lost is G_tau width sign(u), the column; within the dead zone it is less, and th
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("width", "u_0", "V", 0.0, 10.0, linear=True, starts=(0.05, 0.1, 0.2, 0.5),
+              text="voltage below which nothing acts"),
+)  # fmt: skip
 
 
 def actuator(u, p):
@@ -38,27 +43,17 @@ EFFECT = Effect(
     channel="actuator",
     equation=r"u_a = \mathrm{sign}(u)\, \max(0, |u| - u_0)",
     source="dead band of a power stage; G. Tao, P. V. Kokotovic, Adaptive Control with Actuator Nonlinearities, 1996",
-    parameters=(
-        Parameter(
-            "width",
-            "u_0",
-            "V",
-            lower=0.0,
-            upper=10.0,
-            linear=True,
-            starts=(0.05, 0.1, 0.2, 0.5),
-            text="voltage below which nothing acts",
-        ),
-    ),
+    parameters=PARAMETERS,
     actuator=actuator,
-    regressor=regressor,
-    propose=propose,
-    expression=expression,
     over="u",
-    where="a step whenever the motor force changes sign, braking as well as reversing",
-    confused_with=("stribeck_friction", "presliding_friction", "backlash"),
-    experiment="brake along one direction without reversing: the step follows the voltage, not the speed",
-    remedy="add the width to the command with the sign of the command, smoothed near zero",
+    regressor=regressor,
+    expression=expression,
+    search=Search(propose=propose, confused_with=("stribeck_friction", "presliding_friction", "backlash")),
+    words=Words(
+        where="a step whenever the motor force changes sign, braking as well as reversing",
+        experiment="brake along one direction without reversing: the step follows the voltage, not the speed",
+        remedy="add the width to the command with the sign of the command, smoothed near zero",
+    ),
     checks=(
         ({"width": 0.2}, {"u": 1.0}, 0.8),
         ({"width": 0.2}, {"u": -0.15}, 0.0),

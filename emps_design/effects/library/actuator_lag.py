@@ -7,8 +7,13 @@ time_constant df/dt is exact, f being the force that the motion needs.
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters, Search, Solver, Words
 from emps_design.quantities import Quantity
+
+PARAMETERS = (
+    Parameter("time_constant", "T_i", "s", 1e-5, 50e-3, linear=True, starts=(0.3e-3, 1e-3, 2e-3, 4e-3),
+              text="time constant of the force"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -23,10 +28,6 @@ def lag(q, v, t, tau, x, p, b):
     return p[0]
 
 
-def initial(q0, p, b):
-    return (0.0,)
-
-
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
     return motion.derivative(motion.tau)[:, None]
 
@@ -37,29 +38,19 @@ EFFECT = Effect(
     channel="actuator",
     equation=r"T_i \dot f + f = G_\tau u",
     source="paper section II-A: a current loop 20 times faster than the velocity loop",
-    parameters=(
-        Parameter(
-            "time_constant",
-            "T_i",
-            "s",
-            lower=1e-5,
-            upper=50e-3,
-            linear=True,
-            starts=(0.3e-3, 1e-3, 2e-3, 4e-3),
-            text="time constant of the force",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    rate=rate,
-    lag=lag,
-    initial=initial,
     states=(Quantity("acting_force", "f", "N"),),
-    regressor=regressor,
+    rate=rate,
     over="step",
-    where="in proportion to the rate of the motor force: at every change of acceleration and every reversal",
-    confused_with=("actuator_delay", "flexible_coupling", "presliding_friction"),
-    experiment="a multi-sine from 5 to 100 Hz: a lag loses gain as well as phase, a delay only phase",
-    remedy="raise the bandwidth of the current loop, or take its phase from the margin of the velocity loop",
+    regressor=regressor,
+    solver=Solver(lag=lag),
+    search=Search(confused_with=("actuator_delay", "flexible_coupling", "presliding_friction")),
+    words=Words(
+        where="in proportion to the rate of the motor force: at every change of acceleration and every reversal",
+        experiment="a multi-sine from 5 to 100 Hz: a lag loses gain as well as phase, a delay only phase",
+        remedy="raise the bandwidth of the current loop, or take its phase from the margin of the velocity loop",
+    ),
     checks=(
         ({"time_constant": 2e-3}, {"tau": 50.0, "x": (20.0,)}, 30.0),
         ({"time_constant": 2e-3}, {"tau": -5.0, "x": (-5.0,), "v": 0.1}, 0.0),

@@ -1,12 +1,18 @@
 """Actuator saturation: the voltage that acts stays within +-limit, whatever the controller asked for.
 
 A current limit of the amplifier below the voltage limit that the controller knows. The recorded voltage is the
-command and goes beyond the limit. Symmetric.
+command and goes beyond the limit. Symmetric. No column: the force lost is known from the command alone, and only where
+it exceeds the limit.
 """
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter
+from emps_design.effects.effect import Effect, Motion, Parameter, Search, Words
+
+PARAMETERS = (
+    Parameter("limit", r"u_{max}", "V", 0.05, 100.0, starts=(2.0, 3.0, 4.0, 6.0, 8.0),
+              text="largest voltage that acts"),
+)  # fmt: skip
 
 
 def actuator(u, p):
@@ -31,29 +37,18 @@ EFFECT = Effect(
     channel="actuator",
     equation=r"u_a = \max(-u_{max}, \min(u_{max}, u))",
     source="current limit of the amplifier; peak current in the data sheet of a drive",
-    parameters=(
-        Parameter(
-            "limit",
-            r"u_{max}",
-            "V",
-            lower=0.05,
-            upper=100.0,
-            starts=(2.0, 3.0, 4.0, 6.0, 8.0),
-            text="largest voltage that acts",
-        ),
-    ),
+    parameters=PARAMETERS,
     actuator=actuator,
-    propose=propose,
-    no_regressor="the force lost is known only where the command exceeds the limit, from the command itself",
-    expression=expression,
     over="u",
-    where="while the command is large, after a fast change of the reference; the command outgrows the acceleration",
-    confused_with=("mass_change", "end_stop", "actuator_lag"),
-    experiment="the same stroke at half the acceleration: below the limit the misfit is gone",
-    remedy="limit the reference's acceleration to what the limit gives, and put the limit in the anti-windup",
+    expression=expression,
+    search=Search(propose=propose, confused_with=("mass_change", "end_stop", "actuator_lag")),
+    words=Words(
+        where="while the command is large, after a fast change of the reference; the command outgrows the acceleration",
+        experiment="the same stroke at half the acceleration: below the limit the misfit is gone",
+        remedy="limit the reference's acceleration to what the limit gives, and put the limit in the anti-windup",
+    ),
     checks=(
         ({"limit": 3.5}, {"u": 5.0}, 3.5),
         ({"limit": 3.5}, {"u": -1.0}, -1.0),
     ),
-    parity="",
 )

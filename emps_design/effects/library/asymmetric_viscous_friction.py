@@ -8,7 +8,12 @@ of equation (3).
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Estimation, Motion, Parameter, Parameters, Search, Solver, Words
+
+PARAMETERS = (
+    Parameter("viscous_difference", r"\tfrac{1}{2}(F_v^+ - F_v^-)", "N/(m/s)", linear=True, scale=20.0,
+              text="half the difference of the viscous coefficients of the two directions"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -40,32 +45,23 @@ def of_difference(identified: Parameters) -> dict[str, float]:
 EFFECT = Effect(
     name="asymmetric_viscous_friction",
     label="Asymmetric viscous friction",
-    channel="plant",
     equation=r"F = \tfrac{1}{2}(F_v^+ - F_v^-)\,|\dot q|",
     source="paper, eq. (3), Fig. 3 and Table I",
-    parameters=(
-        Parameter(
-            "viscous_difference",
-            r"\tfrac{1}{2}(F_v^+ - F_v^-)",
-            "N/(m/s)",
-            linear=True,
-            scale=20.0,
-            text="half the difference of the viscous coefficients of the two directions",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    slopes=slopes,
     regressor=regressor,
     expression=expression,
-    over="v",
-    where="in proportion to speed, with the same sign in both directions",
-    confused_with=("elastic_force", "friction_drift", "nonlinear_viscous_friction"),
-    experiment="constant-velocity strokes at three speeds, each in both directions over the same travel",
-    remedy="compensate friction with one coefficient for each direction",
+    estimation=Estimation(identified_by={"asymmetric": of_two_quadrants, "asymmetric-viscous": of_difference}),
+    solver=Solver(slopes=slopes),
+    search=Search(confused_with=("elastic_force", "friction_drift", "nonlinear_viscous_friction")),
+    words=Words(
+        where="in proportion to speed, with the same sign in both directions",
+        experiment="constant-velocity strokes at three speeds, each in both directions over the same travel",
+        remedy="compensate friction with one coefficient for each direction",
+    ),
+    claims=Claims(parity="even"),
     checks=(
         ({"viscous_difference": -40.0}, {"v": 0.5}, -20.0),
         ({"viscous_difference": -40.0}, {"v": -0.25}, -10.0),
     ),
-    identified_by={"asymmetric": of_two_quadrants, "asymmetric-viscous": of_difference},
-    parity="even",
 )

@@ -8,9 +8,13 @@ effect adds to that number.
 
 import numpy as np
 
-from emps_design.effects.effect import VISCOUS, Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import VISCOUS, Claims, Effect, Motion, Parameter, Parameters, Search, Solver, Words
 
 PARTS = (0.25, 0.5, 0.9)  # of the viscous friction that was fitted without it
+PARAMETERS = (
+    Parameter("braking", r"G_\tau k_e", "N/(m/s)", lower=0.0, linear=True, scale=20.0,
+              text="braking by the motor that is on, force per speed"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -36,32 +40,23 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="back_emf_braking",
     label="Back-EMF braking",
-    channel="plant",
     equation=r"F = G_\tau k_e\, \dot q \ \text{ while the winding is closed}",
     source="voltage balance of the winding, R i = u - k_e qd, without inductance",
-    parameters=(
-        Parameter(
-            "braking",
-            r"G_\tau k_e",
-            "N/(m/s)",
-            lower=0.0,
-            linear=True,
-            scale=20.0,
-            text="braking by the motor that is on, force per speed",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    slopes=slopes,
     winding=True,
     regressor=regressor,
-    propose=propose,
     expression=expression,
-    over="v",
-    where="in proportion to speed, and only while the motor is on",
-    confused_with=("asymmetric_viscous_friction", "nonlinear_viscous_friction", "load_dependent_friction"),
-    experiment="switch the motor off in motion, and record the column enable: what still brakes then is friction",
-    remedy="a current loop, or the back-EMF fed forward with the speed",
+    solver=Solver(slopes=slopes),
+    search=Search(
+        propose=propose,
+        confused_with=("asymmetric_viscous_friction", "nonlinear_viscous_friction", "load_dependent_friction"),
+    ),
+    words=Words(
+        where="in proportion to speed, and only while the motor is on",
+        experiment="switch the motor off in motion, and record the column enable: what still brakes then is friction",
+        remedy="a current loop, or the back-EMF fed forward with the speed",
+    ),
+    claims=Claims(parity="odd", passive=True),
     checks=(({"braking": 40.0}, {"v": 0.5}, 20.0), ({"braking": 40.0}, {"v": -0.25}, -10.0)),
-    passive=True,
-    parity="odd",
 )

@@ -9,8 +9,13 @@ in the middle of the play. The damper acts from contact on, so it may pull for t
 from math import pi
 
 from emps_design.effects import two_mass
-from emps_design.effects.effect import COULOMB, MASS, VISCOUS, Effect, Parameter
+from emps_design.effects.effect import COULOMB, MASS, VISCOUS, Claims, Effect, Parameter, Search, Solver, Words
 from emps_design.effects.two_mass import load_friction
+
+PARAMETERS = (
+    Parameter("gap", "g", "m", 0.0, 5e-3, starts=(5e-5, 1e-4, 2e-4), text="total play"),
+    *two_mass.coupling(" in contact", (60.0,), 0.15, "behind the play"),
+)
 
 
 def transmitted(v, x, p, b):
@@ -47,10 +52,6 @@ def affine(p):
     return two_mass.affine(p[4], 0.5 * p[0])
 
 
-def initial(q0, p, b):
-    return (0.0, 0.0)
-
-
 def guard(q, v, t, tau, x, p, b):
     return abs(x[0]) - 0.5 * p[0]
 
@@ -58,28 +59,26 @@ def guard(q, v, t, tau, x, p, b):
 EFFECT = Effect(
     name="backlash",
     label="Backlash",
-    channel="plant",
     equation=r"\tau_c = k\,(d \mp \tfrac{g}{2}) + c\,\dot d \text{ if } |d| > \tfrac{g}{2},\ "
     r"M_l \ddot q_l = \tau_c - \lambda (F_v \dot q_l + F_c\, \mathrm{sign}(\dot q_l))",
     source="dead zone and spring; M. Nordin, P.-O. Gutman, Automatica 38 (2002)",
-    parameters=(
-        Parameter("gap", "g", "m", lower=0.0, upper=5e-3, starts=(5e-5, 1e-4, 2e-4), text="total play"),
-        *two_mass.coupling(" in contact", (60.0,), 0.15, "behind the play"),
-    ),
+    parameters=PARAMETERS,
     force=force,
     dry=dry,
     inertia=inertia,
-    rate=rate,
-    affine=affine,
-    initial=initial,
-    guard=guard,
     states=two_mass.STATES,
-    no_regressor=two_mass.NO_REGRESSOR,
+    rate=rate,
+    play="gap",
     over="loop",
-    where="a knock after every reversal of the transmitted force, then a short free flight",
-    confused_with=("flexible_coupling", "presliding_friction", "actuator_deadzone"),
-    experiment="slow reversals with a position sensor on the load, or a small square wave about rest: the load stays",
-    remedy="preload the nut or the belt; else keep the crossover low enough that the limit cycle dies",
+    solver=Solver(guard=guard, affine=affine),
+    search=Search(confused_with=("flexible_coupling", "presliding_friction", "actuator_deadzone")),
+    words=Words(
+        where="a knock after every reversal of the transmitted force, then a short free flight",
+        experiment="slow reversals with a position sensor on the load, or a small square wave "
+        "about rest: the load stays",
+        remedy="preload the nut or the belt; else keep the crossover low enough that the limit cycle dies",
+    ),
+    claims=Claims(passive=True),
     checks=(
         (
             {"gap": 2e-4, "frequency": 50.0, "damping": 0.0, "share": 0.5},
@@ -88,5 +87,4 @@ EFFECT = Effect(
         ),
         ({"gap": 2e-4, "frequency": 50.0, "damping": 0.1, "share": 0.5}, {"x": (9e-5, 0.0), "v": 0.1}, 0.0),
     ),
-    passive=True,
 )

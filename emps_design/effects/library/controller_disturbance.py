@@ -9,7 +9,15 @@ from math import floor
 
 import numpy as np
 
-from emps_design.effects.effect import SNAP, Effect, Motion, Parameter
+from emps_design.effects.effect import SNAP, Effect, Motion, Parameter, Search, Words
+
+PARAMETERS = (
+    Parameter("amplitude", "A", "V", scale=1.0, text="voltage added during a pulse"),
+    Parameter("frequency", "f", "Hz", 1e-3, 500.0, starts=(0.5, 1.0, 2.0), text="pulses per second"),
+    Parameter("duty", "d", "", 0.0, 1.0, starts=(0.5,), text="share of the period that is high"),
+    Parameter("start", "t_0", "s", lower=0.0, per_record=True, scale=0.1,
+              text="a rising edge, the first one in the record"),
+)  # fmt: skip
 
 
 def command(q, v, t, tau, x, p, b):
@@ -71,29 +79,16 @@ EFFECT = Effect(
     channel="controller",
     equation=r"u = u_{law} + A \;\text{ for } (t - t_0) f \bmod 1 < d",
     source="the pulses of the EMPS validation record, A. Janot, M. Gautier, M. Brunot, 2019",
-    parameters=(
-        Parameter("amplitude", "A", "V", scale=1.0, text="voltage added during a pulse"),
-        Parameter("frequency", "f", "Hz", lower=1e-3, upper=500.0, starts=(0.5, 1.0, 2.0), text="pulses per second"),
-        Parameter("duty", "d", "", lower=0.0, upper=1.0, starts=(0.5,), text="share of the period that is high"),
-        Parameter(
-            "start",
-            "t_0",
-            "s",
-            lower=0.0,
-            per_record=True,
-            scale=0.1,
-            text="a rising edge, the first one in the record",
-        ),
-    ),
+    parameters=PARAMETERS,
     command=command,
-    propose=propose,
-    no_regressor="the recorded voltage contains it: its column is in u minus the controller's law, not in the force",
-    expression=expression,
     over="t",
-    where="u minus the controller's law jumps between two levels; the force balance does not notice",
-    confused_with=("external_force", "periodic_disturbance"),
-    experiment="compute the law from the recorded reference and position and subtract it from the recorded voltage",
-    remedy="switch the injected signal off, or repair the output stage",
+    expression=expression,
+    search=Search(propose=propose, confused_with=("external_force", "periodic_disturbance")),
+    words=Words(
+        where="u minus the controller's law jumps between two levels; the force balance does not notice",
+        experiment="compute the law from the recorded reference and position and subtract it from the recorded voltage",
+        remedy="switch the injected signal off, or repair the output stage",
+    ),
     checks=(
         ({"amplitude": 5.0, "frequency": 1.0, "duty": 0.5, "start": 0.344}, {"t": 3.4}, 5.0),
         ({"amplitude": 5.0, "frequency": 1.0, "duty": 0.5, "start": 0.344}, {"t": 0.2}, 0.0),

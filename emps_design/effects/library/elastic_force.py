@@ -7,7 +7,13 @@ Load-dependent friction depends on the preload, which is its ``carried_force``.
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, scale=50.0, text="stiffness of the spring"),
+    Parameter("rest_position", "q_0", "m", -10.0, 10.0, starts=(0.0,), discrete=True,
+              text="position without force; collinear with the constant force"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -25,34 +31,22 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="elastic_force",
     label="Elastic force",
-    channel="plant",
     equation=r"F = k\,(q - q_0)",
     source="linear spring; M. Gautier's inverse dynamic models carry it as one more column",
-    parameters=(
-        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, scale=50.0, text="stiffness of the spring"),
-        Parameter(
-            "rest_position",
-            "q_0",
-            "m",
-            lower=-10.0,
-            upper=10.0,
-            starts=(0.0,),
-            discrete=True,
-            text="position without force; collinear with the constant force",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
+    over="q",
     regressor=regressor,
     expression=expression,
-    over="q",
-    where="in proportion to position, the same in both directions and at every speed",
-    confused_with=("end_stop", "position_dependent_friction", "asymmetric_viscous_friction"),
-    experiment="hold the carriage at several positions and read the voltage, approaching each from both sides",
-    remedy="feed the spring forward, or add it to the impedance of the environment in the force loop",
+    search=Search(confused_with=("end_stop", "position_dependent_friction", "asymmetric_viscous_friction")),
+    words=Words(
+        where="in proportion to position, the same in both directions and at every speed",
+        experiment="hold the carriage at several positions and read the voltage, approaching each from both sides",
+        remedy="feed the spring forward, or add it to the impedance of the environment in the force loop",
+    ),
+    claims=Claims(parity="even", passive=True),
     checks=(
         ({"stiffness": 50.0, "rest_position": 0.1}, {"q": 0.3}, 10.0),
         ({"stiffness": 200.0, "rest_position": 0.0}, {"q": -0.05, "v": 1.0}, -10.0),
     ),
-    passive=True,
-    parity="even",
 )

@@ -10,7 +10,13 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("amplitude", "A", "m", 0.0, 1e-2, linear=True, scale=5e-6, text="amplitude of the error"),
+    harmonic.phase("the encoder's zero"),
+    harmonic.period("the error"),
+)
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -43,24 +49,21 @@ EFFECT = Effect(
     channel="sensor",
     equation=r"q_m = q + A \sin(2\pi q/\lambda + \varphi)",
     source="eccentricity and interpolation error of incremental encoders",
-    parameters=(
-        Parameter("amplitude", "A", "m", lower=0.0, upper=1e-2, linear=True, scale=5e-6, text="amplitude of the error"),
-        harmonic.phase("the encoder's zero"),
-        harmonic.period("the error"),
-    ),
+    parameters=PARAMETERS,
     sensor=harmonic.along_travel,
-    regressor=regressor,
-    propose=propose,
-    to_linear=harmonic.to_linear,
-    from_linear=harmonic.from_linear,
-    plausible=harmonic.plausible,
-    expression=expression,
-    over="q",
     repeats="period",
-    where="one line in the spectrum over position, whose force grows with the square of speed",
-    confused_with=("position_ripple", "periodic_disturbance"),
-    experiment="constant-velocity strokes at two speeds: an encoder's error quadruples in force at twice the speed",
-    remedy="calibrate the encoder over one period, or keep 2 pi v / period below the crossover",
+    over="q",
+    regressor=regressor,
+    expression=expression,
+    estimation=harmonic.ESTIMATION,
+    search=Search(
+        propose=propose, plausible=harmonic.plausible, confused_with=("position_ripple", "periodic_disturbance")
+    ),
+    words=Words(
+        where="one line in the spectrum over position, whose force grows with the square of speed",
+        experiment="constant-velocity strokes at two speeds: an encoder's error quadruples in force at twice the speed",
+        remedy="calibrate the encoder over one period, or keep 2 pi v / period below the crossover",
+    ),
     checks=(
         ({"amplitude": 6e-6, "phase": 0.0, "period": 0.004}, {"q": 0.001}, 6e-6),
         ({"amplitude": 6e-6, "phase": pi / 2, "period": 0.004}, {"q": 0.002, "v": 0.4}, -6e-6),

@@ -5,7 +5,14 @@
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Solver, Words
+
+PARAMETERS = (
+    Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, scale=1000.0, text="stiffness of the buffer"),
+    Parameter("position", "q_s", "m", -10.0, 10.0, starts=(0.0, 0.05, 0.1, 0.15, 0.2, 0.25),
+              text="position at which the carriage touches"),
+    Parameter("side", "s", "", -1.0, 1.0, starts=(-1.0, 1.0), discrete=True, text="+1: upper stop, -1: lower stop"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -42,46 +49,23 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="end_stop",
     label="End stop",
-    channel="plant",
     equation=r"F = s\,k\,\max(0,\, s\,(q - q_s))",
     source="unilateral spring, the rubber buffer at the end of the guide",
-    parameters=(
-        Parameter("stiffness", "k", "N/m", lower=0.0, linear=True, scale=1000.0, text="stiffness of the buffer"),
-        Parameter(
-            "position",
-            "q_s",
-            "m",
-            lower=-10.0,
-            upper=10.0,
-            starts=(0.0, 0.05, 0.1, 0.15, 0.2, 0.25),
-            text="position at which the carriage touches",
-        ),
-        Parameter(
-            "side",
-            "s",
-            "",
-            lower=-1.0,
-            upper=1.0,
-            starts=(-1.0, 1.0),
-            discrete=True,
-            text="+1: upper stop, -1: lower stop",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    guard=guard,
-    regressor=regressor,
-    propose=propose,
-    plausible=plausible,
-    expression=expression,
     over="q",
-    where="beyond one position only, at one end of the travel, and growing there",
-    confused_with=("elastic_force", "position_dependent_friction"),
-    experiment="repeat the record over a shorter travel that stays clear of the suspected end",
-    remedy="shorten the travel, move the stop, or limit the reference ahead of it",
+    regressor=regressor,
+    expression=expression,
+    solver=Solver(guard=guard),
+    search=Search(propose=propose, plausible=plausible, confused_with=("elastic_force", "position_dependent_friction")),
+    words=Words(
+        where="beyond one position only, at one end of the travel, and growing there",
+        experiment="repeat the record over a shorter travel that stays clear of the suspected end",
+        remedy="shorten the travel, move the stop, or limit the reference ahead of it",
+    ),
+    claims=Claims(parity="even", passive=True),
     checks=(
         ({"stiffness": 1200.0, "position": 0.2, "side": 1.0}, {"q": 0.25}, 60.0),
         ({"stiffness": 1200.0, "position": 0.2, "side": -1.0}, {"q": 0.15}, -60.0),
     ),
-    passive=True,
-    parity="even",
 )

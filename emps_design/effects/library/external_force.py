@@ -9,9 +9,16 @@ from math import floor, inf
 import numpy as np
 
 from emps_design.effects import guesses as search
-from emps_design.effects.effect import SNAP, Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import SNAP, Claims, Effect, Motion, Parameter, Parameters, Search, Solver, Words
 
 ALIKE = 1e-3  # of the variance of the position, up to which two laps are one motion
+PARAMETERS = (
+    Parameter("amplitude", "A", "N", linear=True, scale=20.0, text="force on the carriage, positive towards +q"),
+    Parameter("start", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="start of the first pulse"),
+    Parameter("duration", "D", "s", lower=1e-3, starts=(0.1, 0.25, 0.5, 1.0), text="length of a pulse"),
+    Parameter("every", "T", "s", lower=0.0, per_record=True, scale=0.1,
+              text="from one pulse to the next, 0: a single one"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -72,32 +79,28 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="external_force",
     label="External force",
-    channel="plant",
     equation=r"F = -A \;\text{ for } t \in [t_0 + k T,\, t_0 + k T + D),\quad k \ge 0",
     source="the external force of paper eq. (2), as pulses; the pulses of DATA_EMPS_PULSES enter at the controller",
-    parameters=(
-        Parameter("amplitude", "A", "N", linear=True, scale=20.0, text="force on the carriage, positive towards +q"),
-        Parameter("start", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="start of the first pulse"),
-        Parameter("duration", "D", "s", lower=1e-3, starts=(0.1, 0.25, 0.5, 1.0), text="length of a pulse"),
-        Parameter(
-            "every", "T", "s", lower=0.0, per_record=True, scale=0.1, text="from one pulse to the next, 0: a single one"
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    jump_time=jump_time,
-    regressor=regressor,
-    propose=propose,
-    plausible=plausible,
-    expression=expression,
     over="t",
-    where="within intervals of time, whatever position and speed are",
-    confused_with=("periodic_disturbance", "friction_drift", "controller_disturbance"),
-    experiment="repeat the same lap: what comes at other places of the lap comes from outside",
-    remedy="find the source; the observer gives the force as it comes",
+    regressor=regressor,
+    expression=expression,
+    solver=Solver(jump_time=jump_time),
+    search=Search(
+        propose=propose,
+        plausible=plausible,
+        confused_with=("periodic_disturbance", "friction_drift", "controller_disturbance"),
+    ),
+    words=Words(
+        where="within intervals of time, whatever position and speed are",
+        experiment="repeat the same lap: what comes at other places of the lap comes from outside",
+        remedy="find the source; the observer gives the force as it comes",
+    ),
+    claims=Claims(parity="even"),
     checks=(
         ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 5.3}, {"t": 7.7}, -30.0),
         ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 0.0}, {"t": 7.7}, 0.0),
         ({"amplitude": 30.0, "start": 2.3, "duration": 0.25, "every": 1e-20}, {"t": 7.7}, 0.0),
     ),
-    parity="even",
 )

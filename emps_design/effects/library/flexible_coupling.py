@@ -9,7 +9,7 @@ d = q - q_load [m] and load velocity [m/s].
 from math import inf, pi
 
 from emps_design.effects import two_mass
-from emps_design.effects.effect import COULOMB, MASS, VISCOUS, Effect
+from emps_design.effects.effect import COULOMB, MASS, VISCOUS, Claims, Effect, Search, Solver, Words
 from emps_design.effects.two_mass import load_friction
 
 
@@ -42,14 +42,9 @@ def affine(p):
     return two_mass.affine(p[3], inf)
 
 
-def initial(q0, p, b):
-    return (0.0, 0.0)
-
-
 EFFECT = Effect(
     name="flexible_coupling",
     label="Flexible coupling",
-    channel="plant",
     equation=r"\tau_c = k (q - q_l) + c (\dot q - \dot q_l),\quad "
     r"M_l \ddot q_l = \tau_c - \lambda (F_v \dot q_l + F_c\, \mathrm{sign}(\dot q_l))",
     source="two-mass model; the coupling of paper section II-A, assumed rigid there",
@@ -57,19 +52,19 @@ EFFECT = Effect(
     force=force,
     dry=dry,
     inertia=inertia,
-    rate=rate,
-    affine=affine,
-    initial=initial,
     states=two_mass.STATES,
-    no_regressor=two_mass.NO_REGRESSOR,
+    rate=rate,
     over="loop",
-    where="a band around the resonance, after every jerk of the reference",
-    confused_with=("actuator_delay", "actuator_lag", "backlash"),
-    experiment="a multi-sine or chirp across the resonance at small amplitude, without reversals",
-    remedy="keep the crossover below a fifth of the resonance, or put a notch there",
+    solver=Solver(affine=affine),
+    search=Search(confused_with=("actuator_delay", "actuator_lag", "backlash")),
+    words=Words(
+        where="a band around the resonance, after every jerk of the reference",
+        experiment="a multi-sine or chirp across the resonance at small amplitude, without reversals",
+        remedy="keep the crossover below a fifth of the resonance, or put a notch there",
+    ),
+    claims=Claims(passive=True),
     checks=(
         ({"frequency": 50.0, "damping": 0.0, "share": 0.5}, {"x": (1e-5, 0.0)}, 25.0 * (100 * pi) ** 2 * 1e-5),
         ({"frequency": 50.0, "damping": 0.1, "share": 0.5}, {"x": (0.0, 0.0), "v": 0.01}, 5.0 * pi),
     ),
-    passive=True,
 )

@@ -8,7 +8,7 @@ fits as well is left to those.
 import numpy as np
 
 from emps_design.effects import travel_map
-from emps_design.effects.effect import Effect, Motion, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameters, Search, Words
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -24,26 +24,28 @@ RISE = {"start": 0.0, "end": 0.6, **dict(zip(travel_map.NAMES, (1.0, 3.0, 2.0, -
 EFFECT = Effect(
     name="force_map",
     label="Force over position",
-    channel="plant",
     equation=r"F = h(q),\quad h \text{ a cubic spline through seven knots},\ h(q_0) = 0",
     source="look-up table over position, as drives keep one; B. Armstrong-Helouvry et al., Automatica 30 (1994)",
     parameters=travel_map.parameters("force"),
     force=travel_map.height,
-    regressor=regressor,
-    propose=travel_map.propose,
-    plausible=travel_map.plausible(line=True),
-    expression=expression,
     over="q",
-    general=True,
-    where="slowly along the travel, with the same sign in both directions, at every speed alike",
-    confused_with=("elastic_force", "friction_map", "position_ripple"),
-    experiment="one slow constant-velocity stroke over the whole travel in each direction: half the sum is the map",
-    remedy="feed the map forward from position, or mend what pulls: chain, hose, alignment",
+    regressor=regressor,
+    expression=expression,
+    search=Search(
+        propose=travel_map.propose,
+        plausible=travel_map.plausible(line=True),
+        confused_with=("elastic_force", "friction_map", "position_ripple"),
+        general=True,
+    ),
+    words=Words(
+        where="slowly along the travel, with the same sign in both directions, at every speed alike",
+        experiment="one slow constant-velocity stroke over the whole travel in each direction: half the sum is the map",
+        remedy="feed the map forward from position, or mend what pulls: chain, hose, alignment",
+    ),
+    claims=Claims(parity="even", passive=True),
     checks=(
         (RISE, {"q": 0.15}, 2.125),
         (RISE, {"q": 0.35, "v": -0.2}, 0.375),
         (RISE, {"q": 0.7}, 4.0),
     ),
-    passive=True,
-    parity="even",
 )

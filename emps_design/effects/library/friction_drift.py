@@ -7,7 +7,13 @@ from math import exp
 
 import numpy as np
 
-from emps_design.effects.effect import COULOMB, VISCOUS, Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import COULOMB, VISCOUS, Claims, Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("change", "c", "", -0.95, 5.0, linear=True, scale=0.2, text="relative change of friction, settled"),
+    Parameter("time_constant", "T", "s", 0.1, 3600.0, starts=(3.0, 6.0, 12.0, 25.0, 60.0),
+              text="time constant of the settling"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -38,43 +44,25 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="friction_drift",
     label="Friction drift",
-    channel="plant",
     equation=r"F = c\,(1 - e^{-t/T})\,(F_c\, \mathrm{sign}(\dot q) + F_v \dot q)",
     source="first-order warming; friction of geared joints over temperature, A. C. Bittencourt, S. Gunnarsson, 2012",
-    parameters=(
-        Parameter(
-            "change",
-            "c",
-            "",
-            lower=-0.95,
-            upper=5.0,
-            linear=True,
-            scale=0.2,
-            text="relative change of friction, settled",
-        ),
-        Parameter(
-            "time_constant",
-            "T",
-            "s",
-            lower=0.1,
-            upper=3600.0,
-            starts=(3.0, 6.0, 12.0, 25.0, 60.0),
-            text="time constant of the settling",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
     dry=dry,
-    regressor=regressor,
-    plausible=plausible,
-    expression=expression,
     over="t",
-    where="from the start of the record on, in both directions, the laps differing from one another",
-    confused_with=("mass_change", "position_dependent_friction", "asymmetric_viscous_friction"),
-    experiment="repeat one lap for some minutes from cold: the force of equal strokes settles",
-    remedy="warm the axis up before identifying, and let the observer or an adaptive compensation follow the rest",
+    regressor=regressor,
+    expression=expression,
+    search=Search(
+        plausible=plausible, confused_with=("mass_change", "position_dependent_friction", "asymmetric_viscous_friction")
+    ),
+    words=Words(
+        where="from the start of the record on, in both directions, the laps differing from one another",
+        experiment="repeat one lap for some minutes from cold: the force of equal strokes settles",
+        remedy="warm the axis up before identifying, and let the observer or an adaptive compensation follow the rest",
+    ),
+    claims=Claims(parity="odd"),
     checks=(
         ({"change": -0.3, "time_constant": 12.0}, {"t": 0.0, "v": 0.2}, 0.0),
         ({"change": -0.5, "time_constant": 1.0}, {"t": 1e3, "v": -0.1}, 20.0),
     ),
-    parity="odd",
 )

@@ -7,7 +7,7 @@ knots (:mod:`emps_design.effects.travel_map`); a level that repeats is ``positio
 import numpy as np
 
 from emps_design.effects import travel_map
-from emps_design.effects.effect import Effect, Motion, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameters, Search, Words
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -29,25 +29,29 @@ DIP = {"start": -0.3, "end": 0.3, **dict(zip(travel_map.NAMES, (-1.0, -4.0, -4.0
 EFFECT = Effect(
     name="friction_map",
     label="Friction over position",
-    channel="plant",
     equation=r"F = h(q)\, \mathrm{sign}(\dot q),\quad h \text{ a cubic spline through seven knots},\ h(q_0) = 0",
     source="look-up table over position; B. Armstrong-Helouvry et al., Automatica 30 (1994)",
     parameters=travel_map.parameters("Coulomb level above that of the start"),
     dry=travel_map.height,
-    regressor=regressor,
-    propose=travel_map.propose,
-    plausible=travel_map.plausible(line=False),
-    expression=expression,
     over="q",
-    general=True,
-    where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
-    confused_with=("position_dependent_friction", "force_map", "friction_drift"),
-    experiment="one slow constant-velocity stroke over the whole travel in each direction: half the difference is it",
-    remedy="relubricate or align where the level is high, or schedule the friction compensation on position",
+    regressor=regressor,
+    expression=expression,
+    search=Search(
+        propose=travel_map.propose,
+        plausible=travel_map.plausible(line=False),
+        confused_with=("position_dependent_friction", "force_map", "friction_drift"),
+        general=True,
+    ),
+    words=Words(
+        where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
+        experiment="one slow constant-velocity stroke over the whole travel in each direction: "
+        "half the difference is it",
+        remedy="relubricate or align where the level is high, or schedule the friction compensation on position",
+    ),
+    claims=Claims(parity="odd"),
     checks=(
         (TOWARDS_THE_END, {"q": 0.275, "v": 0.2}, 8.4375),
         (TOWARDS_THE_END, {"q": 0.225, "v": -0.2}, -4.375),
         (DIP, {"q": -0.15, "v": 0.1}, -2.5625),
     ),
-    parity="odd",
 )

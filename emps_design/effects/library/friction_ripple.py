@@ -9,7 +9,13 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
+    harmonic.phase("the encoder's zero"),
+    harmonic.period("the friction"),
+)
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -30,30 +36,29 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="friction_ripple",
     label="Friction ripple",
-    channel="plant",
     equation=r"F = A \sin(2\pi q/\lambda + \varphi)\, \mathrm{sign}(\dot q)",
     source="screw and nut off centre; one revolution of the encoder is 2.5 mm on the EMPS",
-    parameters=(
-        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
-        harmonic.phase("the encoder's zero"),
-        harmonic.period("the friction"),
-    ),
+    parameters=PARAMETERS,
     dry=harmonic.along_travel,
-    regressor=regressor,
-    propose=propose,
-    to_linear=harmonic.to_linear,
-    from_linear=harmonic.from_linear,
-    plausible=harmonic.plausible,
-    expression=expression,
-    over="q",
     repeats="period",
-    where="one line in the spectrum over position, with opposite sign in the two directions",
-    confused_with=("position_ripple", "position_dependent_friction", "encoder_error"),
-    experiment="slow constant-velocity strokes in both directions over one travel: half the difference has the line",
-    remedy="align screw and nut, or feed the ripple forward with the sign of the velocity",
+    over="q",
+    regressor=regressor,
+    expression=expression,
+    estimation=harmonic.ESTIMATION,
+    search=Search(
+        propose=propose,
+        plausible=harmonic.plausible,
+        confused_with=("position_ripple", "position_dependent_friction", "encoder_error"),
+    ),
+    words=Words(
+        where="one line in the spectrum over position, with opposite sign in the two directions",
+        experiment="slow constant-velocity strokes in both directions over one travel: "
+        "half the difference has the line",
+        remedy="align screw and nut, or feed the ripple forward with the sign of the velocity",
+    ),
+    claims=Claims(parity="odd"),
     checks=(
         ({"amplitude": 3.0, "phase": 0.0, "period": 0.004}, {"q": 0.001, "v": 0.1}, 3.0),
         ({"amplitude": 3.0, "phase": pi / 2, "period": 0.004}, {"q": 0.002, "v": -0.3}, 3.0),
     ),
-    parity="odd",
 )

@@ -10,7 +10,13 @@ from math import pi, sin
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Estimation, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("torque", "A", "N", lower=0.0, linear=True, scale=1.0, text="weight times its distance"),
+    Parameter("angle", r"\varphi", "rad", linear=True, scale=1.0,
+              text="angle of the arm from hanging at the encoder's zero"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -44,36 +50,25 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="gravity",
     label="Gravity",
-    channel="plant",
+    motion="rotary",
     equation=r"F = A \sin(q + \varphi)",
     source="weight of an unbalanced arm; W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, ch. 9",
-    parameters=(
-        Parameter("torque", "A", "N", lower=0.0, linear=True, scale=1.0, text="weight times its distance"),
-        Parameter(
-            "angle",
-            r"\varphi",
-            "rad",
-            linear=True,
-            scale=1.0,
-            text="angle of the arm from hanging at the encoder's zero",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    regressor=regressor,
-    to_linear=to_linear,
-    from_linear=from_linear,
-    expression=expression,
     over="q",
-    motion="rotary",
-    where="over the angle, the same in both directions and at every speed, once round in a revolution",
-    confused_with=("elastic_force", "position_ripple", "position_dependent_friction"),
-    experiment="hold the arm at several angles over as much of a turn as there is, approaching each from both sides",
-    remedy="feed the weight forward from the angle, or balance the arm",
+    regressor=regressor,
+    expression=expression,
+    estimation=Estimation(to_linear=to_linear, from_linear=from_linear, identified_by={"gravity": identified}),
+    search=Search(confused_with=("elastic_force", "position_ripple", "position_dependent_friction")),
+    words=Words(
+        where="over the angle, the same in both directions and at every speed, once round in a revolution",
+        experiment="hold the arm at several angles over as much of a turn as there is, "
+        "approaching each from both sides",
+        remedy="feed the weight forward from the angle, or balance the arm",
+    ),
+    claims=Claims(parity="even", passive=True),
     checks=(
         ({"torque": 4.0, "angle": 0.0}, {"q": pi / 6}, 2.0),
         ({"torque": 3.0, "angle": pi / 2}, {"q": pi, "v": -0.3}, -3.0),
     ),
-    identified_by={"gravity": identified},
-    passive=True,
-    parity="even",
 )

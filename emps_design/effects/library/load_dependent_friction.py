@@ -13,7 +13,26 @@ motion does not tell: in the latter case mass and forces of the load are 1 / (1 
 
 import numpy as np
 
-from emps_design.effects.effect import COULOMB, OFFSET, VISCOUS, Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import (
+    COULOMB,
+    OFFSET,
+    VISCOUS,
+    Claims,
+    Effect,
+    Motion,
+    Parameter,
+    Parameters,
+    Search,
+    Words,
+)
+
+PARAMETERS = (
+    Parameter("share", r"\mu", "", 0.0, 0.9, linear=True, scale=0.05, text="share of the carried force lost"),
+    Parameter("motor_side", r"\kappa", "", 0.0, 1.0, starts=(0.0, 1.0), discrete=True, default=0.0,
+              text="share of viscous and Coulomb friction on the motor's side, which the transmission does not carry"),
+    Parameter("carried_force", "F_0", "N", -1e4, 1e4, starts=(0.0, 50.0, -50.0), default=0.0,
+              text="constant force that the transmission carries, a weight or a preload"),
+)  # fmt: skip
 
 
 def dry(q, v, t, tau, x, p, b):
@@ -49,46 +68,22 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="load_dependent_friction",
     label="Load-dependent friction",
-    channel="plant",
     equation=r"F = \mu\, |\tau - \mathrm{offset} + F_0 - \kappa (F_v \dot q + F_c\, \mathrm{sign}(\dot q))|\, "
     r"\mathrm{sign}(\dot q)",
     source="transmission losses; P. Hamon, M. Gautier, P. Garrec, IROS 2010",
-    parameters=(
-        Parameter(
-            "share", r"\mu", "", lower=0.0, upper=0.9, linear=True, scale=0.05, text="share of the carried force lost"
-        ),
-        Parameter(
-            "motor_side",
-            r"\kappa",
-            "",
-            lower=0.0,
-            upper=1.0,
-            starts=(0.0, 1.0),
-            discrete=True,
-            default=0.0,
-            text="share of viscous and Coulomb friction on the motor's side, which the transmission does not carry",
-        ),
-        Parameter(
-            "carried_force",
-            "F_0",
-            "N",
-            lower=-1e4,
-            upper=1e4,
-            starts=(0.0, 50.0, -50.0),
-            default=0.0,
-            text="constant force that the transmission carries, a weight or a preload",
-        ),
-    ),
+    parameters=PARAMETERS,
     dry=dry,
-    regressor=regressor,
-    propose=propose,
-    expression=expression,
     over="tau",
-    where="during acceleration and braking, with opposite apparent change of the mass",
-    confused_with=("mass_change", "nonlinear_viscous_friction", "stribeck_friction"),
-    experiment="the same strokes at three accelerations, or with a known payload pulling along the axis; "
-    "with the motor off, a load that falls tells what friction the gear carries",
-    remedy="compensate with the motor force of the model, and expect a lower efficiency when loaded",
+    regressor=regressor,
+    expression=expression,
+    search=Search(propose=propose, confused_with=("mass_change", "nonlinear_viscous_friction", "stribeck_friction")),
+    words=Words(
+        where="during acceleration and braking, with opposite apparent change of the mass",
+        experiment="the same strokes at three accelerations, or with a known payload pulling along the axis; "
+        "with the motor off, a load that falls tells what friction the gear carries",
+        remedy="compensate with the motor force of the model, and expect a lower efficiency when loaded",
+    ),
+    claims=Claims(parity="odd", passive=True),
     checks=(
         ({"share": 0.1, "motor_side": 0.0, "carried_force": 0.0}, {"v": 0.2, "tau": -150.0}, 14.5),
         ({"share": 0.05, "motor_side": 0.0, "carried_force": 0.0}, {"v": -0.2, "tau": -40.0}, -1.75),
@@ -97,6 +92,4 @@ EFFECT = Effect(
         ({"share": 0.1, "motor_side": 1.0, "carried_force": 0.0}, {"v": -0.2, "tau": -5.0}, -6.0),
         ({"share": 0.1, "motor_side": 0.0, "carried_force": 45.0}, {"v": -0.2, "tau": -20.0}, -3.0),
     ),
-    passive=True,
-    parity="odd",
 )

@@ -8,7 +8,12 @@ from math import inf
 import numpy as np
 
 from emps_design.effects import guesses as search
-from emps_design.effects.effect import MASS, SNAP, Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import MASS, SNAP, Effect, Motion, Parameter, Parameters, Search, Solver, Words
+
+PARAMETERS = (
+    Parameter("change", "c", "", -0.9, 10.0, linear=True, scale=0.1, text="relative change of the mass"),
+    Parameter("time", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="instant of the change"),
+)
 
 
 def inertia(q, v, t, tau, x, p, b):
@@ -44,26 +49,24 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="mass_change",
     label="Mass change",
-    channel="plant",
     equation=r"F = c\,M \ddot q \;\text{ for } t \ge t_0",
     source="payload; M. Gautier, weighing with the inverse dynamic model",
-    parameters=(
-        Parameter(
-            "change", "c", "", lower=-0.9, upper=10.0, linear=True, scale=0.1, text="relative change of the mass"
-        ),
-        Parameter("time", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="instant of the change"),
-    ),
+    parameters=PARAMETERS,
     inertia=inertia,
-    jump_time=jump_time,
-    regressor=regressor,
-    propose=propose,
-    plausible=plausible,
-    expression=expression,
     over="t",
-    where="during accelerations after one instant, not before",
-    confused_with=("friction_drift", "load_dependent_friction", "actuator_saturation"),
-    experiment="the same stroke before and after the suspected instant, at two accelerations",
-    remedy="schedule mass and gains on the payload; the margins of the velocity loop move with 1/M",
+    regressor=regressor,
+    expression=expression,
+    solver=Solver(jump_time=jump_time),
+    search=Search(
+        propose=propose,
+        plausible=plausible,
+        confused_with=("friction_drift", "load_dependent_friction", "actuator_saturation"),
+    ),
+    words=Words(
+        where="during accelerations after one instant, not before",
+        experiment="the same stroke before and after the suspected instant, at two accelerations",
+        remedy="schedule mass and gains on the payload; the margins of the velocity loop move with 1/M",
+    ),
     checks=(
         ({"change": 0.1, "time": 8.0}, {"t": 7.9}, 0.0),
         ({"change": 0.1, "time": 8.0}, {"t": 8.1}, 10.0),

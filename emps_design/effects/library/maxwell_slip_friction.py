@@ -5,8 +5,14 @@ One element of the generalised Maxwell-slip model, beside the Coulomb friction o
 over every ``travel`` since the reversal, whatever the speed. It adds to the Coulomb level F_c of the baseline.
 """
 
-from emps_design.effects.effect import COULOMB, Effect, Parameter
+from emps_design.effects.effect import COULOMB, Claims, Effect, Parameter, Search, Solver, Words
 from emps_design.quantities import Quantity
+
+PARAMETERS = (
+    Parameter("share", r"\kappa", "", 0.0, 1.0, starts=(0.2,), text="friction of the element, in Coulomb levels"),
+    Parameter("travel", r"\ell", "m", 5e-5, 2e-2, starts=(2e-4, 6e-4, 2e-3),
+              text="travel after a reversal over which its force settles"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -17,51 +23,26 @@ def rate(q, v, t, tau, x, p, b, level, dx):
     dx[0] = (v - abs(v) * x[0]) / p[1]
 
 
-def initial(q0, p, b):
-    return (0.0,)
-
-
 EFFECT = Effect(
     name="maxwell_slip_friction",
     label="Maxwell-slip friction",
-    channel="plant",
     equation=r"F = \kappa F_c w,\quad \dot w = (\dot q - |\dot q|\, w) / \ell",
     source="F. Al-Bender, V. Lampaert, J. Swevers, IEEE Trans. Automatic Control 50 (2005); elements as of Dahl (1968)",
-    parameters=(
-        Parameter(
-            "share",
-            r"\kappa",
-            "",
-            lower=0.0,
-            upper=1.0,
-            starts=(0.2,),
-            text="friction of the element, in Coulomb levels",
-        ),
-        Parameter(
-            "travel",
-            r"\ell",
-            "m",
-            lower=5e-5,
-            upper=2e-2,
-            starts=(2e-4, 6e-4, 2e-3),
-            text="travel after a reversal over which its force settles",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    rate=rate,
-    initial=initial,
-    by_travel=True,
     states=(Quantity("memory", "w", ""),),
-    no_regressor="the force of the element is a state that remembers the path",
+    rate=rate,
     over="loop",
-    element=True,
-    where="0.1 to a few millimetres after every reversal: friction rises more slowly than a contact bends",
-    confused_with=("presliding_friction", "stribeck_friction", "backlash"),
-    experiment="reversals at several accelerations: the rise is the same over travel, not over time",
-    remedy="compensate friction with its path since the last reversal, not with the sign of the velocity",
+    solver=Solver(by_travel=True),
+    search=Search(confused_with=("presliding_friction", "stribeck_friction", "backlash"), element=True),
+    words=Words(
+        where="0.1 to a few millimetres after every reversal: friction rises more slowly than a contact bends",
+        experiment="reversals at several accelerations: the rise is the same over travel, not over time",
+        remedy="compensate friction with its path since the last reversal, not with the sign of the velocity",
+    ),
+    claims=Claims(passive=True),
     checks=(
         ({"share": 0.25, "travel": 4e-4}, {"x": (0.5,)}, 2.5),
         ({"share": 0.1, "travel": 1e-3}, {"x": (-1.0,), "v": -0.2}, -2.0),
     ),
-    passive=True,
 )

@@ -10,10 +10,16 @@ from math import sqrt
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Estimation, Motion, Parameter, Parameters, Search, Words
 
 SPEED = 0.1  # m/s, at which the force is the amount
 SMOOTH = 1e-4  # m/s
+PARAMETERS = (
+    Parameter("amount", r"F_{0.1}", "N", linear=True, scale=5.0,
+              text="force of the bend at 0.1 m/s; negative where it relieves"),
+    Parameter("exponent", "n", "", 0.3, 4.0, starts=(2.0, 0.5), discrete=True,
+              text="power of the speed: above 1 the curve bends up, below 1 it flattens"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -40,41 +46,22 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="nonlinear_viscous_friction",
     label="Nonlinear viscous friction",
-    channel="plant",
     equation=r"F = F_{0.1}\, \mathrm{sign}(\dot q)\, (|\dot q| / 0.1)^{n}",
     source="friction over speed as a power; B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994)",
-    parameters=(
-        Parameter(
-            "amount",
-            r"F_{0.1}",
-            "N",
-            linear=True,
-            scale=5.0,
-            text="force of the bend at 0.1 m/s; negative where it relieves",
-        ),
-        Parameter(
-            "exponent",
-            "n",
-            "",
-            lower=0.3,
-            upper=4.0,
-            starts=(2.0, 0.5),
-            discrete=True,
-            text="power of the speed: above 1 the curve bends up, below 1 it flattens",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
     regressor=regressor,
     expression=expression,
-    over="v",
-    where="at the highest speeds, and with opposite sign between rest and half of them",
-    confused_with=("stribeck_friction", "load_dependent_friction", "asymmetric_viscous_friction"),
-    experiment="constant-velocity strokes at five or more speeds spread evenly up to the highest",
-    remedy="identify over the speeds of use only, or put the curve in the friction compensation",
+    estimation=Estimation(identified_by={"bent-viscous": of_power}),
+    search=Search(confused_with=("stribeck_friction", "load_dependent_friction", "asymmetric_viscous_friction")),
+    words=Words(
+        where="at the highest speeds, and with opposite sign between rest and half of them",
+        experiment="constant-velocity strokes at five or more speeds spread evenly up to the highest",
+        remedy="identify over the speeds of use only, or put the curve in the friction compensation",
+    ),
+    claims=Claims(parity="odd"),
     checks=(
         ({"amount": 9.0, "exponent": 2.0}, {"v": 0.1}, 9.0 * (1.0 + 1e-6) ** 0.5),
         ({"amount": -20.0, "exponent": 0.5}, {"v": -0.025}, 10.0 * (1.0 + 1.6e-5) ** -0.25),
     ),
-    identified_by={"bent-viscous": of_power},
-    parity="odd",
 )

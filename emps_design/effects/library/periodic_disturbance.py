@@ -8,9 +8,15 @@ from math import pi, sin
 import numpy as np
 
 from emps_design.effects import guesses as search, harmonic
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
 
 MOVED = 0.5  # of the mean square of the velocity
+PARAMETERS = (
+    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the force"),
+    harmonic.phase("the record's first sample"),
+    Parameter("frequency", "f", "Hz", 0.25, 500.0, starts=(0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0),
+              text="frequency of the force"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -45,37 +51,25 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="periodic_disturbance",
     label="Periodic disturbance",
-    channel="plant",
     equation=r"F = -A \sin(2\pi f t + \varphi)",
     source="harmonic external force of paper eq. (2)",
-    parameters=(
-        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the force"),
-        harmonic.phase("the record's first sample"),
-        Parameter(
-            "frequency",
-            "f",
-            "Hz",
-            lower=0.25,
-            upper=500.0,
-            starts=(0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0),
-            text="frequency of the force",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    regressor=regressor,
-    propose=propose,
-    to_linear=harmonic.to_linear,
-    from_linear=harmonic.from_linear,
-    plausible=plausible,
-    expression=expression,
     over="t",
-    where="one line in the spectrum over time, at every position and speed, at rest as well",
-    confused_with=("external_force", "position_ripple", "encoder_error"),
-    experiment="a record at standstill: the line is still there",
-    remedy="isolate the source, or a resonant term in the controller at that frequency",
+    regressor=regressor,
+    expression=expression,
+    estimation=harmonic.ESTIMATION,
+    search=Search(
+        propose=propose, plausible=plausible, confused_with=("external_force", "position_ripple", "encoder_error")
+    ),
+    words=Words(
+        where="one line in the spectrum over time, at every position and speed, at rest as well",
+        experiment="a record at standstill: the line is still there",
+        remedy="isolate the source, or a resonant term in the controller at that frequency",
+    ),
+    claims=Claims(parity="even"),
     checks=(
         ({"amplitude": 3.0, "phase": 0.0, "frequency": 2.5}, {"t": 0.1}, -3.0),
         ({"amplitude": 3.0, "phase": pi / 2, "frequency": 2.5}, {"t": 0.2, "v": 0.1}, 3.0),
     ),
-    parity="even",
 )

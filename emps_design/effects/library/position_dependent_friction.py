@@ -9,7 +9,14 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=3.0, text="variation of the Coulomb level"),
+    harmonic.phase("the encoder's zero"),
+    Parameter("length", r"\Lambda", "m", 0.02, 5.0, starts=(0.1, 0.2, 0.3, 0.5, 0.8),
+              text="travel after which the level repeats"),
+)  # fmt: skip
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -29,37 +36,24 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="position_dependent_friction",
     label="Position-dependent friction",
-    channel="plant",
     equation=r"F = A \sin(2\pi q/\Lambda + \varphi)\, \mathrm{sign}(\dot q)",
     source="first harmonic of the Coulomb level over position; paper section II-B takes the level as constant",
-    parameters=(
-        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=3.0, text="variation of the Coulomb level"),
-        harmonic.phase("the encoder's zero"),
-        Parameter(
-            "length",
-            r"\Lambda",
-            "m",
-            lower=0.02,
-            upper=5.0,
-            starts=(0.1, 0.2, 0.3, 0.5, 0.8),
-            text="travel after which the level repeats",
-        ),
-    ),
+    parameters=PARAMETERS,
     dry=harmonic.along_travel,
-    regressor=regressor,
-    to_linear=harmonic.to_linear,
-    from_linear=harmonic.from_linear,
-    plausible=plausible,
-    expression=expression,
-    over="q",
     repeats="length",
-    where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
-    confused_with=("position_ripple", "elastic_force", "friction_drift"),
-    experiment="one slow constant-velocity stroke over the whole travel in each direction",
-    remedy="align or relubricate the length named, or schedule the friction compensation on position",
+    over="q",
+    regressor=regressor,
+    expression=expression,
+    estimation=harmonic.ESTIMATION,
+    search=Search(plausible=plausible, confused_with=("position_ripple", "elastic_force", "friction_drift")),
+    words=Words(
+        where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
+        experiment="one slow constant-velocity stroke over the whole travel in each direction",
+        remedy="align or relubricate the length named, or schedule the friction compensation on position",
+    ),
+    claims=Claims(parity="odd"),
     checks=(
         ({"amplitude": 5.0, "phase": 0.0, "length": 0.4}, {"q": 0.1, "v": 0.2}, 5.0),
         ({"amplitude": 5.0, "phase": pi / 2, "length": 0.4}, {"q": 0.0, "v": -0.2}, -5.0),
     ),
-    parity="odd",
 )

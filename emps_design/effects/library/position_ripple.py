@@ -11,7 +11,13 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
+    harmonic.phase("the encoder's zero"),
+    harmonic.period("the ripple"),
+)
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -30,32 +36,29 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="position_ripple",
     label="Position ripple",
-    channel="plant",
     equation=r"F = A \sin(2\pi q/\lambda + \varphi)",
     source="cogging and screw eccentricity; one encoder revolution is 2.5 mm on the EMPS",
-    parameters=(
-        Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
-        harmonic.phase("the encoder's zero"),
-        harmonic.period("the ripple"),
-    ),
+    parameters=PARAMETERS,
     force=harmonic.along_travel,
-    regressor=regressor,
-    propose=propose,
-    to_linear=harmonic.to_linear,
-    from_linear=harmonic.from_linear,
-    plausible=harmonic.plausible,
-    expression=expression,
-    over="q",
-    lines=6,
     repeats="period",
-    where="one line in the spectrum over position, at every speed with the same amplitude",
-    confused_with=("encoder_error", "position_dependent_friction", "periodic_disturbance"),
-    experiment="two slow constant-velocity strokes at different speeds: the period stays in mm and the force in N",
-    remedy="feed the ripple forward from position, or keep k v / period away from the loop's resonances",
+    over="q",
+    regressor=regressor,
+    expression=expression,
+    estimation=harmonic.ESTIMATION,
+    search=Search(
+        propose=propose,
+        plausible=harmonic.plausible,
+        confused_with=("encoder_error", "position_dependent_friction", "periodic_disturbance"),
+        lines=6,
+    ),
+    words=Words(
+        where="one line in the spectrum over position, at every speed with the same amplitude",
+        experiment="two slow constant-velocity strokes at different speeds: the period stays in mm and the force in N",
+        remedy="feed the ripple forward from position, or keep k v / period away from the loop's resonances",
+    ),
+    claims=Claims(parity="even", passive=True),
     checks=(
         ({"amplitude": 3.0, "phase": 0.0, "period": 0.004}, {"q": 0.001}, 3.0),
         ({"amplitude": 3.0, "phase": pi / 2, "period": 0.004}, {"q": 0.002, "v": -0.3}, -3.0),
     ),
-    passive=True,
-    parity="even",
 )

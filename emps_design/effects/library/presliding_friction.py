@@ -6,12 +6,16 @@ carriage has no true stick; a level that other effects drive to zero erases the 
 that would bend by less than ``FINEST`` bends over that: no encoder resolves it, and a simulation would take very long.
 """
 
-from emps_design.effects.effect import Effect, Parameter
+from emps_design.effects.effect import Claims, Effect, Parameter, Search, Solver, Words
 from emps_design.quantities import Quantity
 
 FORGET = 1e-4  # m
 FINEST = 1e-6  # m
 SETTLED = 1e-9  # of the whole bend: closer to it the contact counts as sliding, and steps may be long
+PARAMETERS = (
+    Parameter("stiffness", r"\sigma", "N/m", 1e3, 1e8, starts=(2e4, 1e5, 5e5, 2e6),
+              text="stiffness of the contact before it slides"),
+)  # fmt: skip
 
 
 def force(q, v, t, tau, x, p, b):
@@ -27,42 +31,27 @@ def rate(q, v, t, tau, x, p, b, level, dx):
         dx[0] = -abs(v) * x[0] / FORGET
 
 
-def initial(q0, p, b):
-    return (0.0,)
-
-
 EFFECT = Effect(
     name="presliding_friction",
     label="Presliding friction",
-    channel="plant",
     equation=r"F = \sigma z,\quad \dot z = \dot q - |\dot q|\, \sigma z / L",
     source="P. R. Dahl, A solid friction model, Aerospace Corporation, 1968",
-    parameters=(
-        Parameter(
-            "stiffness",
-            r"\sigma",
-            "N/m",
-            lower=1e3,
-            upper=1e8,
-            starts=(2e4, 1e5, 5e5, 2e6),
-            text="stiffness of the contact before it slides",
-        ),
-    ),
+    parameters=PARAMETERS,
     force=force,
-    rate=rate,
-    initial=initial,
-    by_travel=True,
-    takes_dry=True,
     states=(Quantity("deflection", "z", "m"),),
-    no_regressor="the bend of the contact is a state that remembers the path",
+    rate=rate,
+    takes_dry=True,
     over="loop",
-    where="the first tenths of a millimetre after every reversal",
-    confused_with=("stribeck_friction", "backlash", "actuator_deadzone"),
-    experiment="small sine motion of 10 to 100 um about one position: force over position draws a rounded loop",
-    remedy="an integral action that does not hunt: lead it with the spring near reversals, or dither",
+    solver=Solver(by_travel=True),
+    search=Search(confused_with=("stribeck_friction", "backlash", "actuator_deadzone")),
+    words=Words(
+        where="the first tenths of a millimetre after every reversal",
+        experiment="small sine motion of 10 to 100 um about one position: force over position draws a rounded loop",
+        remedy="an integral action that does not hunt: lead it with the spring near reversals, or dither",
+    ),
+    claims=Claims(passive=True),
     checks=(
         ({"stiffness": 1e5}, {"x": (1e-4,)}, 10.0),
         ({"stiffness": 2e6}, {"x": (-1e-5,), "v": 0.3}, -20.0),
     ),
-    passive=True,
 )

@@ -8,7 +8,15 @@ from math import exp
 
 import numpy as np
 
-from emps_design.effects.effect import Effect, Motion, Parameter, Parameters
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
+
+PARAMETERS = (
+    Parameter("excess", r"F_s - F_c", "N", lower=0.0, linear=True, scale=5.0,
+              text="break-away force above Coulomb friction"),
+    Parameter("stribeck_velocity", r"\dot q_s", "m/s", 1e-4, 1.0, starts=(0.002, 0.005, 0.01, 0.02, 0.04),
+              text="velocity at which the excess has fallen to 1/e"),
+    Parameter("exponent", r"\delta_s", "", 1.0, 2.0, starts=(1.0, 2.0), discrete=True, text="sharpness of the fall"),
+)  # fmt: skip
 
 
 def dry(q, v, t, tau, x, p, b):
@@ -36,52 +44,21 @@ def expression(q, v, t, tau, p, b):
 EFFECT = Effect(
     name="stribeck_friction",
     label="Stribeck friction",
-    channel="plant",
     equation=r"F = (F_s - F_c)\, e^{-|\dot q/\dot q_s|^{\delta_s}}\, \mathrm{sign}(\dot q)",
     source="paper, eq. (4), Fig. 3",
-    parameters=(
-        Parameter(
-            "excess",
-            r"F_s - F_c",
-            "N",
-            lower=0.0,
-            linear=True,
-            scale=5.0,
-            text="break-away force above Coulomb friction",
-        ),
-        Parameter(
-            "stribeck_velocity",
-            r"\dot q_s",
-            "m/s",
-            lower=1e-4,
-            upper=1.0,
-            starts=(0.002, 0.005, 0.01, 0.02, 0.04),
-            text="velocity at which the excess has fallen to 1/e",
-        ),
-        Parameter(
-            "exponent",
-            r"\delta_s",
-            "",
-            lower=1.0,
-            upper=2.0,
-            starts=(1.0, 2.0),
-            discrete=True,
-            text="sharpness of the fall",
-        ),
-    ),
+    parameters=PARAMETERS,
     dry=dry,
     regressor=regressor,
-    plausible=plausible,
     expression=expression,
-    over="v",
-    where="below a few Stribeck velocities, on both sides of every reversal",
-    confused_with=("presliding_friction", "actuator_deadzone", "backlash"),
-    experiment="slow constant-velocity strokes at several speeds below 20 mm/s, and a break-away test",
-    remedy="add the excess to the friction compensation, or keep references away from the low-speed band",
+    search=Search(plausible=plausible, confused_with=("presliding_friction", "actuator_deadzone", "backlash")),
+    words=Words(
+        where="below a few Stribeck velocities, on both sides of every reversal",
+        experiment="slow constant-velocity strokes at several speeds below 20 mm/s, and a break-away test",
+        remedy="add the excess to the friction compensation, or keep references away from the low-speed band",
+    ),
+    claims=Claims(parity="odd", passive=True),
     checks=(
         ({"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 1.0}, {"v": 0.01}, 8.0 / 2.718281828459045),
         ({"excess": 8.0, "stribeck_velocity": 0.01, "exponent": 2.0}, {"v": -0.02}, -8.0 / 54.598150033144236),
     ),
-    passive=True,
-    parity="odd",
 )

@@ -105,7 +105,9 @@ def test_every_effect_is_a_term_or_is_said_not_to_be(effect):
     rotary = {"motion": "rotary"} if effect.motion == "rotary" else {}
     axis = with_effects({"kind": effect.name, **parameters}, **rotary)
     terms, left = terms_of(axis)
-    assert (effect.name in terms) + (effect.name in left) + (effect.delay is not None or effect.lag is not None) == 1
+    assert (effect.name in terms) + (effect.name in left) + (
+        effect.delay is not None or effect.solver.lag is not None
+    ) == 1
     if effect.name in terms:
         ahead = FeedForward.of(axis, terms).along(PROGRAM)
         assert np.isfinite(ahead).all()

@@ -160,7 +160,7 @@ def test_every_effect_takes_part_or_is_named(effect):
     assert np.all(np.isfinite(plant.A))
     design = design_velocity_loop(axis, crossover=60.0, phase_margin_deg=60.0)
     assert np.all(np.isfinite(design.sampled.poles))
-    if effect.guard is not None or effect.jump_time is not None or effect.command is not None:
+    if effect.solver.guard is not None or effect.solver.jump_time is not None or effect.command is not None:
         assert any(warning.startswith(effect.name) for warning in design.warnings)
 
 

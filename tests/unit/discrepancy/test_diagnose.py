@@ -204,7 +204,7 @@ def test_a_ripple_with_two_lines_is_listed_line_by_line():
     for period, amplitude in found.items():
         assert amplitude["value"] == pytest.approx(lines[period], abs=4 * amplitude["std"])
     assert [one.kind for one in answer.axis.effects] == ["position_ripple"] * 2
-    assert answer.to_dict()["remedies"] == [get_effect("position_ripple").remedy]  # once
+    assert answer.to_dict()["remedies"] == [get_effect("position_ripple").words.remedy]  # once
 
 
 def test_records_that_cannot_be_judged_say_what_to_record():

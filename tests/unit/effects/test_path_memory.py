@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from emps_design.effects import EFFECTS, get_effect
+from emps_design.effects import EFFECTS, Solver, get_effect
 from emps_design.effects.effect import CHECK_BASELINE
 from emps_design.errors import AxisError
 
-MEMORIES = [effect.name for effect in EFFECTS if effect.by_travel]
+MEMORIES = [effect.name for effect in EFFECTS if effect.solver.by_travel]
 
 
 def rate(effect, x, v, level, **motion):
@@ -43,4 +43,4 @@ def test_it_changes_with_travel_alone_and_evenly(name, level, side):
 
 def test_a_memory_has_one_state_and_a_force():
     with pytest.raises(AxisError, match="one own state with a force"):
-        replace(get_effect("stribeck_friction"), by_travel=True)
+        replace(get_effect("stribeck_friction"), solver=Solver(by_travel=True))

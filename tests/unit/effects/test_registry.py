@@ -12,7 +12,7 @@ from emps_design.errors import AxisError
 
 OWN = '''"""Air drag: a force that grows with the cube of speed."""
 
-from emps_design.effects import Effect, Parameter
+from emps_design.effects import Claims, Effect, Parameter
 
 
 def force(q, v, t, tau, x, p, b):
@@ -22,13 +22,12 @@ def force(q, v, t, tau, x, p, b):
 EFFECT = Effect(
     name="air_drag",
     label="Air drag",
-    channel="plant",
     equation="F = c v^3",
     source="a user",
     parameters=(Parameter("cubic", "c", "N/(m/s)^3", linear=True, scale=100.0, text="drag"),),
     force=force,
     regressor=lambda motion, shape, b: (motion.v**3)[:, None],
-    parity="odd",
+    claims=Claims(parity="odd"),
 )
 '''
 
@@ -90,10 +89,14 @@ def test_the_environment_names_files(own_file, tmp_path):
         ("EFFECT = 3", "found EFFECT = 3, expected an emps_design.effects.Effect"),
         ("x = 1", "found EFFECT = None"),
         (OWN.replace('"air_drag"', '"backlash"'), "effect backlash: the package has one of that name, choose another"),
-        (OWN.replace('channel="plant"', 'channel="air"'), "channel 'air', expected one of controller, actuator"),
-        (OWN.replace("regressor=", "propose="), "give a regressor, or say in no_regressor why there is none"),
-        (OWN.replace('parity="odd"', 'over="w"'), "over 'w', expected one of v, q, t"),
-        (OWN.replace("force=force", "rate=force"), "states, rate and initial come together"),
+        (
+            OWN.replace('source="a user"', 'source="a user", channel="air"'),
+            "channel 'air', expected one of controller, actuator",
+        ),
+        (OWN.replace("regressor=", "expression="), "a regressor and linear parameters come together"),
+        (OWN.replace("force=force", 'force=force, over="w"'), "over 'w', expected one of v, q, t"),
+        (OWN.replace("force=force", "rate=force"), "states and rate come together"),
+        (OWN.replace("force=force", 'force=force, play="gap"'), "found no parameter 'gap', expected one of cubic"),
     ],
 )
 def test_a_bad_file_is_told_by_name(tmp_path, text, message):
@@ -126,8 +129,6 @@ def test_unknown_names_get_the_nearest():
 
 
 def test_an_effect_without_a_hook_does_nothing_and_says_so():
-    empty = effects.Effect(
-        name="empty", label="", channel="plant", equation="", source="", parameters=(), no_regressor="it is empty"
-    )
+    empty = effects.Effect(name="empty", label="", equation="", source="", parameters=())
     with pytest.raises(AxisError, match="effect empty: it has no hook, expected at least one of force, dry"):
         empty.contribution({}, np.zeros(4))

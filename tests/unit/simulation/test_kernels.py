@@ -29,11 +29,9 @@ def spring(**hooks):
     return Effect(
         name="test_spring",
         label="Spring of a test",
-        channel="plant",
         equation="k q",
         source="this test",
         parameters=(Parameter("stiffness", "k", "N/m", lower=0.0),),
-        no_regressor="only for the test",
         **hooks,
     )
 
@@ -99,8 +97,8 @@ EFFECT_FILE = """
     from emps_design.effects import Effect, Parameter
     def force(q, v, t, tau, x, p, b):
         return {factor} * p[0] * q
-    EFFECT = Effect(name="mine", label="Mine", channel="plant", equation="k q", source="test", force=force,
-                    parameters=(Parameter("stiffness", "k", "N/m"),), no_regressor="only for the test")
+    EFFECT = Effect(name="mine", label="Mine", equation="k q", source="test", force=force,
+                    parameters=(Parameter("stiffness", "k", "N/m"),))
 """
 
 
