@@ -16,6 +16,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from emps_design.errors import InputError, nearest_name
 from emps_design.progress import Progress, no_progress
+from emps_design.quantities import read_frequency, read_ratio
 from emps_design.units import Units
 
 OPTION = "option"  # the key of an Option in the metadata of a field
@@ -29,7 +30,8 @@ class Option:
     plausible range. ``limits`` are the least and the largest number, ``choices`` the words allowed. ``flags`` replace
     the flag made of the name. ``parse`` reads the text of the command line; ``read`` makes the value from a name or a
     path and the axis of the request. ``writes`` is the kind of file written to the path, the kinds by suffix, such as
-    ``.csv``, or those by the name of each file written to a folder.
+    ``.csv``, or those by the name of each file written to a folder. An option that is ``printed`` changes what is
+    printed, not the document.
     """
 
     help: str = ""
@@ -43,6 +45,7 @@ class Option:
     read: Callable[[Any, Any], Any] | None = None
     typed: Any = None  # type on the command line, where it is not that of the field
     writes: str | Mapping[str, str] = ""
+    printed: bool = False
 
 
 def option(default: Any, help: str, **declaration: Any) -> Any:
@@ -50,6 +53,16 @@ def option(default: Any, help: str, **declaration: Any) -> Any:
     return field(
         default=MISSING if default is ... else default, metadata={OPTION: Option(help, **declaration)}, kw_only=False
     )
+
+
+# Declarations of an option that is a frequency or a ratio: option(None, "... [rad/s, or such as 30Hz]", **RAD_S).
+RAD_S: dict[str, Any] = {
+    "parse": functools.partial(read_frequency, unit="rad/s"),
+    "metavar": "FREQUENCY",
+    "typed": str | None,
+}
+HERTZ: dict[str, Any] = RAD_S | {"parse": functools.partial(read_frequency, unit="Hz")}
+RATIO: dict[str, Any] = {"parse": read_ratio, "metavar": "RATIO", "typed": str | None}
 
 
 @dataclass(frozen=True)
@@ -99,7 +112,7 @@ def _check(declared: Field[Any], value: Any, units: Units) -> None:
         )
     least, most = about.limits
     if (least is not None and value < least) or (most is not None and value > most):
-        span = f"at least {least}" if most is None else f"{least} to {most}"
+        span = f"at least {least}" if most is None else f"at most {most}" if least is None else f"{least} to {most}"
         raise InputError(f"{name}: found {value!r}, expected {span}")
     if about.unit is not None:
         units.check(name, value, about.unit, positive=True)

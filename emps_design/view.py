@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from emps_design.errors import printable
@@ -17,13 +18,17 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-STYLES = {"": "", "good": "bold green", "bad": "bold red", "strong": "bold", "code": ""}  # of a line on a terminal
+STYLES = {"good": "bold green", "bad": "bold red", "strong": "bold"}  # of a line on a terminal
+BLOCKS = "▁▂▃▄▅▆▇█"
 Cell = Any  # text, a number or None
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of text; ``style`` is "" or one of "good", "bad", "strong", and "code" for what must not be wrapped."""
+    """A line of text; ``style`` is "" or one of "good", "bad", "strong".
+
+    "prose" is wrapped at words on a terminal, "code" is shown as it stands.
+    """
 
     text: str
     style: str = ""
@@ -104,7 +109,7 @@ def show(console: Console, part: Line | Table) -> None:
     from rich.text import Text
 
     if isinstance(part, Line):
-        console.print(Text(printable(part.text), STYLES[part.style]), soft_wrap=True)
+        console.print(Text(printable(part.text), STYLES.get(part.style, "")), soft_wrap=part.style != "prose")
     else:
         console.print(_rich(part))
 
@@ -122,6 +127,22 @@ def _rich(table: Table) -> RichTable:
     for row in table.texts():
         shown.add_row(*map(printable, row))
     return shown
+
+
+def sparkline(values: Sequence[float], width: int = 60) -> str:
+    """The means of ``values`` (n,) drawn in ``width`` characters.
+
+    >>> import numpy as np
+    >>> sparkline(np.arange(100.0), 8), sparkline(np.ones(5), 3)
+    ('▁▂▃▄▅▆▇█', '▁▁▁')
+    """
+    import numpy as np
+
+    edges = np.linspace(0, len(values), min(width, len(values)) + 1).astype(int)
+    means = np.array([np.mean(values[a:b]) for a, b in pairwise(edges)])
+    span = float(np.ptp(means))
+    heights = np.zeros(means.size) if span == 0.0 else (means - means.min()) / span * (len(BLOCKS) - 1)
+    return "".join(BLOCKS[round(height)] for height in heights)
 
 
 def html(view: View) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -92,6 +92,8 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     own = {key: value for key, value in values.items() if key in flags and value is not None}
     _check_outputs(kind, own, bool(values.get("force")))
     as_json = values["as_json"]
+    if as_json:
+        _refuse_printed(kind, given)
     with output.progress_bar(not as_json or sys.stderr.isatty()) as progress:
         request: Any = make_request(kind, own, given, progress=progress)
         if "axis" in own:
@@ -121,9 +123,19 @@ def _from_words(context: typer.Context, key: str) -> bool:
     return getattr(context.get_parameter_source(key), "name", "") == "COMMANDLINE"
 
 
+def _refuse_printed(kind: type[Request], given: Collection[str]) -> None:
+    """Refuse options of what is printed where a document is printed instead."""
+    unused = [entry for entry in options_of(kind) if entry.metadata[OPTION].printed and entry.name in given]
+    if unused:
+        flags = ", ".join(flags_of(entry)[0] for entry in unused)
+        raise InputError(f"{flags}: goes without --json; a document is one or the other")
+
+
 def _check_outputs(kind: type[Request], values: Mapping[str, Any], force: bool) -> None:
     """Refuse files that must not be overwritten, before any work, and ``--force`` where no file is written."""
     outputs = [entry for entry in options_of(kind) if entry.metadata[OPTION].writes]
+    if not outputs:
+        return
     inputs = [path for entry in options_of(kind) if entry not in outputs for path in _paths(values.get(entry.name))]
     for entry in outputs:
         about, path, flag = entry.metadata[OPTION], values.get(entry.name), flags_of(entry)[0]

@@ -14,16 +14,14 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from emps_design.advice import Advice, advise, advise_on_error
 from emps_design.errors import EmpsError, one_line, printable
 from emps_design.progress import Progress, no_progress
 from emps_design.units import Units
+from emps_design.view import BLOCKS, Line, show as show_part
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,8 +75,7 @@ LOOKING = "looking for the controller that made the record"  # the stage that la
 NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title", "next")
 MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
 
-BLOCKS = "▁▂▃▄▅▆▇█"
-PLAIN = "_.-=+*#@"
+PLAIN = str.maketrans(f"{BLOCKS}─", "_.-=+*#@-")  # for a terminal without blocks and rules
 
 
 def in_flags(text: str, command: str = "") -> str:
@@ -231,11 +228,13 @@ def print_view(view: View) -> None:
     """Print ``view`` on standard output, with flags for the arguments that its lines name."""
     from rich.console import Console
 
-    from emps_design.view import Line, show
-
+    plain = not (sys.stdout.encoding or "ascii").lower().startswith("utf")
     console = Console(markup=False, emoji=False, highlight=False)
     for part in view:
-        show(console, replace(part, text=in_command(part.text)) if isinstance(part, Line) else part)
+        if isinstance(part, Line):
+            words = part.text if part.style == "code" else in_command(part.text)
+            part = replace(part, text=words.translate(PLAIN) if plain else words)
+        show_part(console, part)
 
 
 def new_console() -> Console:
@@ -326,18 +325,3 @@ def say_advice(document: dict[str, Any]) -> None:
     """Print the advice of ``document`` as one line on standard output."""
     advice = Advice(**document["advice"])
     show(str(Advice(advice.level, in_words(advice.text), advice.next)))
-
-
-def sparkline(values: np.ndarray, width: int = 60, encoding: str = "utf-8") -> str:
-    """Draw the means of ``values`` (n,) in ``width`` characters, plain ones if ``encoding`` has no blocks.
-
-    >>> import numpy as np
-    >>> sparkline(np.arange(100.0), 8), sparkline(np.ones(5), 3), sparkline(np.arange(9.0), 4, "ascii")
-    ('▁▂▃▄▅▆▇█', '▁▁▁', '_-+@')
-    """
-    marks = BLOCKS if encoding.lower().startswith("utf") else PLAIN
-    edges = np.linspace(0, values.size, min(width, values.size) + 1).astype(int)
-    means = np.array([values[a:b].mean() for a, b in pairwise(edges)])
-    span = float(np.ptp(means))
-    heights = np.zeros(means.size) if span == 0.0 else (means - means.min()) / span * (len(marks) - 1)
-    return "".join(marks[round(height)] for height in heights)

@@ -25,6 +25,7 @@ from emps_design.axis import Axis
 from emps_design.codegen.block import Ahead, Block
 from emps_design.codegen.machine import machine_of
 from emps_design.codegen.targets import (
+    OPERATIONS,
     Files,
     block_name,
     comment,
@@ -45,6 +46,7 @@ from emps_design.control.sampled import axis_loop
 from emps_design.errors import AxisError, EmpsError, InputError, UnstableError
 from emps_design.files import write_text, write_together
 from emps_design.simulation import Plant
+from emps_design.view import Line, Table, View, Viewed
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared")
 LONGEST = 300  # s, of a compilation
@@ -204,7 +206,7 @@ def _compiled(name: str, sources: Mapping[str, str]) -> bytes:
 
 
 @dataclass(frozen=True)
-class Exported:
+class Exported(Viewed):
     """What was exported: the ``files`` by name with their text, and the ``vectors`` that test them.
 
     ``checked``: whether the loop was found stable; ``bare``: a compensation was given, and keeps nothing.
@@ -223,6 +225,23 @@ class Exported:
         with write_together(folder) as aside:
             for name, text in self.files.items():
                 write_text(aside / name, text) if isinstance(text, str) else (aside / name).write_bytes(text)
+
+    def view(self) -> View:
+        """The vectors, the operations of one step, and the gains by the names of common drives."""
+        counts = operations_of(self.block).items()
+        drives = self._drives()
+        side = "motor's" if drives and drives[0]["side"] == "motor" else "axis's own"
+        headings = ("drive", "parameter", "value", "unit", "gain")
+        rows = [(d["family"], d["parameter"], f"{d['value']:.6g}", d["unit"], d["gain"]) for d in drives]
+        title = f"The same gains by the names of common drives, on the {side} side"
+        return (
+            Line(f"{self.vectors.q.size} vectors of the law {self.block.kind.name}, axis {self.block.axis.name}"),
+            Line(f"one step: {', '.join(f'{number} {OPERATIONS[kind]}' for kind, number in counts)}", "prose"),
+            *([Table(headings, rows, title, words=("parameter", "unit", "gain"))] if rows else []),
+        )
+
+    def _drives(self) -> list[dict[str, Any]]:
+        return drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis))
 
     def to_dict(self) -> dict[str, Any]:
         """Names and hashes of the files, the vectors, operations, drive settings, as plain data."""
@@ -244,7 +263,7 @@ class Exported:
                 "rows_that_rounding_decides": int(self.vectors.decided_otherwise.sum()),
             },
             "operations": operations_of(self.block),
-            "drives": drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis)),
+            "drives": self._drives(),
             "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
             "warnings": [STABILITY_UNCHECKED] * (not self.checked)

@@ -8,7 +8,7 @@ the position loop around it, and the range of loads that the gains have to hold 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,19 +18,14 @@ from emps_design.control.velocity.gains import FILTER_TEXTS, NO_FILTER, filter_f
 from emps_design.errors import InputError
 from emps_design.files import write_text
 from emps_design.laws.estimators import NUMBERS
-from emps_design.quantities import read_frequency, read_ratio
-from emps_design.request import Request, option
+from emps_design.quantities import read_frequency
+from emps_design.request import HERTZ as HERTZ, RAD_S as RAD_S, RATIO as RATIO, Request, option
 
 if TYPE_CHECKING:
     from emps_design.control.position import PositionLoopDesign
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.velocity.gains import Structure
     from emps_design.control.velocity.load_range import LoadRange
-
-# Declarations of an option that is a frequency or a ratio: option(None, "... [rad/s, or such as 30Hz]", **RAD_S).
-RAD_S: dict[str, Any] = {"parse": partial(read_frequency, unit="rad/s"), "metavar": "FREQUENCY", "typed": str | None}
-HERTZ: dict[str, Any] = {"parse": partial(read_frequency, unit="Hz"), "metavar": "FREQUENCY", "typed": str | None}
-RATIO: dict[str, Any] = {"parse": read_ratio, "metavar": "RATIO", "typed": str | None}
 
 
 def read_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:

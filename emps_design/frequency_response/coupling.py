@@ -30,6 +30,8 @@ from emps_design.effects.two_mass import linear_coupling
 from emps_design.errors import InputError
 from emps_design.frequency_response.response import BAND, FrequencyResponse, resonances, turning_delay
 from emps_design.stretches import stretches
+from emps_design.units import Units
+from emps_design.view import Table
 
 MISSED = 5.0  # deviations of misfit above which a chain does not describe the response
 VAGUE = 10.0  # relative deviation from which on a parameter is not determined
@@ -167,6 +169,17 @@ class MassChain:
                     "check sign and unit of the command, and the computation delay of the axis"
                 )
         return tuple(words)
+
+    def table(self, units: Units) -> Table:
+        """The parameters with their deviations, in ``units``."""
+        rows = [
+            (units.words(name.replace("_", " ")), f"{value:.5g}", f"{std:.2g}", units.unit(of))
+            if self.determines(name)
+            else (units.words(name.replace("_", " ")), "not determined", "", "")
+            for name, (value, std, of) in self.parameters.items()
+        ]
+        title = f"Fitted, {units.words(self.label)}; residuals {self.misfit:.2g} deviations"
+        return Table(("", "value", "std", "unit"), rows, title)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""

@@ -38,6 +38,7 @@ from emps_design.observer import back_emf_compensation, motor_share
 from emps_design.progress import Progress, no_progress
 from emps_design.records import Record
 from emps_design.records.clock import same_period
+from emps_design.view import Line, Table, View, Viewed
 
 AROUND = 20  # lines on either side, whose usual difference counts
 CLEARLY = 2.0  # times the variance that noise explains
@@ -50,6 +51,7 @@ WORST = 0.5  # relative deviation beyond which a line is left out
 POOLED = 9  # neighbouring lines whose noise is averaged
 REPEATED = 1.5  # power of repeated encoder steps, over that by chance, above which a warning says so
 APART = {"periodic": 1, "local-polynomial": 4, "welch": 2}  # distance of lines with independent noise
+SHOWN = 16  # lines of the table that a reader sees
 RESTING = 0.01  # share of the time at rest above which a warning says so
 
 
@@ -104,7 +106,7 @@ def _usual(ratio: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class ResponseEstimate:
+class ResponseEstimate(Viewed):
     """A measured response with its method, and the ratio of the spectra of velocity and command at the same lines.
 
     ``method`` is one of ``METHODS``, ``instrument`` the signal that excites the loop, ``spectral_ratio`` (n,)
@@ -165,8 +167,53 @@ class ResponseEstimate:
             "warnings": list(self.all_warnings),
         }
 
-    def _repr_html_(self) -> str:
-        return self.response._repr_html_()
+    def view(self) -> View:
+        """The method, some lines of the response, its resonances, the masses that fit it, and its distortion."""
+        units, response, comparison = self.axis.units, self.response, self.comparison
+        passes = f"{self.passes} pass{'' if self.passes == 1 else 'es'}"
+        return (
+            Line(
+                f"{response.name}: {len(response)} lines from {response.frequency[0]:.4g} to "
+                f"{response.frequency[-1]:.4g} Hz; {self.method}, by the {self.instrument}, {self.seconds:.4g} s on "
+                f"{passes}",
+                "prose",
+            ),
+            self._table(),
+            *(
+                Line(f"{found.kind} at {found.frequency:.2f} +- {found.std:.2f} Hz, damping {found.damping:.3f}")
+                for found in self.resonances
+            ),
+            comparison.chain.table(units),
+            Line(f"{self.axis.name}: {units.text(comparison.agreement.sentence)}", "prose"),
+            *self._distortion(),
+            Line("ratio of spectra: velocity over command, which ignores feedback; for comparison only", "prose"),
+        )
+
+    def _table(self) -> Table:
+        """Some lines of the response, evenly spaced on a logarithmic scale."""
+        response, unit = self.response, self.axis.units.unit
+        wanted = np.geomspace(response.frequency[0], response.frequency[-1], SHOWN)
+        apart = np.abs(self.spectral_ratio / response.response - 1.0)
+        headings = ("frequency [Hz]", f"magnitude [{unit('(m/s)/N')}]", "phase [deg]", "std [%]")
+        rows = [
+            (
+                f"{response.frequency[i]:.4g}",
+                f"{response.magnitude[i]:.4g}",
+                f"{response.phase_deg[i]:.1f}",
+                f"{100 * response.std[i]:.2f}",
+                f"{response.coherence[i]:.4f}",
+                f"{100 * apart[i]:.2g} % off",
+            )
+            for i in sorted({int(np.argmin(np.abs(response.frequency - f))) for f in wanted})
+        ]
+        return Table((*headings, "coherence", "ratio of spectra"), rows)
+
+    def _distortion(self) -> list[Line]:
+        if self.distortion is None:
+            return []
+        levels = self.distortion.to_dict()
+        words = ", ".join(f"{name} {100 * level:.2g} %" for name, level in levels.items() if level is not None)
+        return [Line(f"of the linear answer, one period: {words} (odd, even: nonlinear distortion)", "prose")]
 
 
 def estimate_response(

@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,23 @@ from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.sampled import axis_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
+from emps_design.files import write_aside
 from emps_design.frequency_response.signals import repeated_share
-from emps_design.frequency_response.waves import BLOCKS, GROUP, MultiSine, SteppedSine, Wave
+from emps_design.frequency_response.waves import (
+    BLOCKS,
+    GROUP,
+    PLACES,
+    ExcitationRequest,
+    MultiSine,
+    SteppedSine,
+    Wave,
+)
 from emps_design.laws.estimators import estimator_response
 from emps_design.records.layout import LONGEST
+from emps_design.request import takes
 from emps_design.simulation import Plant
+from emps_design.view import Line, Table, View, Viewed
 
-PLACES = ("command", "reference")
 ROOM = 0.9  # share of a limit that is used
 
 TRIES = 12
@@ -43,6 +54,7 @@ TURNING = 0.8  # share of the steady speed that the excitation may take
 STEEPEST = 10.0  # largest excitation over command: below the crossover the controller opposes the excitation
 SLOWER = 0.5  # largest relative reduction of the speed that keeps the encoder's steps from repeating
 TRIED = 2000  # speeds
+SHOWN = 10  # lines of the table that a reader sees
 PERIODS = (2, 4, 8, 16, 32)  # over which the steps are not to repeat
 NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
 
@@ -57,18 +69,15 @@ class Limits:
     jerk: float | None = None
 
 
-def check_request(
-    limits: Limits, speed: float, low: float, high: float, resolution: float, nyquist: float, at: str, steps: int | None
-) -> None:
-    """Raise :class:`InputError` for an invalid place, band, resolution, number of steps, speed or limit.
+def check_request(limits: Limits, request: ExcitationRequest, high: float, nyquist: float) -> None:
+    """Raise :class:`InputError` for an invalid band up to ``high`` [Hz], resolution, number of steps, speed or limit.
 
-    >>> check_request(Limits(0.5, force=float("nan")), 0.05, 2.0, 100.0, 0.5, 500.0, "command", None)
+    >>> check_request(Limits(0.5, force=float("nan")), ExcitationRequest(0.05), 100.0, 500.0)
     Traceback (most recent call last):
         ...
     emps_design.errors.InputError: force limit: found nan, expected a positive number
     """
-    if at not in PLACES:
-        raise InputError(f"place of the excitation: found {at!r}, expected {' or '.join(PLACES)}")
+    speed, low, resolution, steps = request.speed, request.low, request.resolution, request.steps
     if not 0.0 < low < high:
         raise InputError(f"frequencies: found {low:g} to {high:g} Hz, expected a rising pair above 0")
     if high >= nyquist:
@@ -191,7 +200,7 @@ def _reached(axis: Axis, signals: LoopInputs) -> Reached | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(Viewed):
     """Reference and excitation at the samples, with the expected deviations and peaks.
 
     ``q_ref`` (n,) [m]; ``excitation`` (n,) [V], 0 where the reference carries it; ``frequency`` (m,) [Hz] the lines and
@@ -229,6 +238,42 @@ class Experiment:
         columns = {"t [s]": np.arange(self.q_ref.size) * self.period, f"q_ref [{unit('m')}]": self.q_ref}
         return columns if self.at == "reference" else {**columns, f"excitation [{unit('V')}]": self.excitation}
 
+    def save(self, path: str | Path) -> None:
+        """Write the table to the .csv file ``path``, whole or not at all."""
+        with write_aside(Path(path)) as aside:
+            table = np.column_stack(list(self.columns.values()))
+            formats = ["%.12g", *["%.10g"] * (table.shape[1] - 1)]
+            np.savetxt(aside, table, fmt=formats, delimiter=",", header=",".join(self.columns), comments="")
+
+    def view(self) -> View:
+        """The signal, what bounds it, its peaks, and the deviations to expect on some of the lines."""
+        units, lines, peaks = self.axis.units, self.frequency, self.peaks
+        what = f"{self.periods} periods"
+        if self.signal == SteppedSine.label:
+            what = f"steps of at most {self.periods} blocks"
+        speed, command, travel = (units.unit(base) for base in ("m/s", "V", "m"))
+        shown = sorted({int(np.argmin(np.abs(lines - f))) for f in np.geomspace(lines[0], lines[-1], SHOWN)})
+        return (
+            Line(
+                f"{self.axis.name}: {self.signal} of {lines.size} lines from {lines[0]:.4g} to {lines[-1]:.4g} Hz, "
+                f"added to the {self.at}; {self.passes} passes of {what} of {self.samples * self.period:g} s, "
+                f"{self.q_ref.size * self.period:.4g} s in all",
+                "prose",
+            ),
+            Line(
+                f"passes at {self.speed:.5g} {speed} (asked: {self.requested_speed:.5g}), speed "
+                f"{peaks['slowest']:.4g} to {peaks['velocity']:.4g} {speed}, command at most {peaks['command']:.4g} "
+                f"{command}, travel {peaks['stroke']:.4g} {travel}; the amplitude is bound by the "
+                f"{units.words(self.bound_by)}",
+                "prose",
+            ),
+            Table(
+                ("frequency [Hz]", "relative std [%]"),
+                [(f"{lines[i]:.4g}", f"{100 * self.std[i]:.3g}") for i in shown],
+                f"expected of {self.noise:g} {units.unit('N')} rms of white {units.words('force')} noise",
+            ),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data without the signals."""
         return {
@@ -252,27 +297,13 @@ class Experiment:
         }
 
 
-def design_experiment(
-    axis: Axis,
-    limits: Limits,
-    speed: float,
-    low: float = 2.0,
-    high: float | None = None,
-    resolution: float = 0.5,
-    passes: int = 4,
-    slope: float = 0.5,
-    at: str = PLACES[0],
-    noise: float | None = None,
-    seed: int = 0,
-    steps: int | None = None,
-) -> Experiment:
+@takes(ExcitationRequest)
+def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) -> Experiment:
     """Return the experiment for ``axis``: lines from ``low`` to ``high`` [Hz], spaced by ``resolution`` [Hz] at least.
 
-    ``speed`` [m/s] is the highest speed of the passes, ``slope`` the power of frequency by which the amplitude of the
-    command falls, ``at`` where the excitation is added, ``noise`` [N rms] the force noise behind the expected
-    deviations, by default 2 % of the Coulomb friction. With ``steps`` it is a stepped sine of that many lines, each
-    measured over 1/``resolution`` [s] and repeated ``passes`` times. Raises :class:`InputError` for an experiment that
-    does not fit the limits, :class:`UnstableError` for an axis with an unstable loop.
+    With ``steps`` it is a stepped sine of that many lines, each measured over 1/``resolution`` [s] and repeated
+    ``passes`` times. Raises :class:`InputError` for an experiment that does not fit the limits, :class:`UnstableError`
+    for an axis with an unstable loop.
 
     >>> from emps_design.machines import machine
     >>> experiment = design_experiment(machine("emps2019"), Limits(stroke=0.5), speed=0.05, resolution=1.0)
@@ -281,17 +312,17 @@ def design_experiment(
     """
     period = axis.sampling.period
     nyquist = 0.5 / period
-    high = HIGHEST_SHARE * nyquist if high is None else high
-    check_request(limits, speed, low, high, resolution, nyquist, at, steps)
-    samples = round(1.0 / (resolution * period))
+    low, high = request.low, HIGHEST_SHARE * nyquist if request.high is None else request.high
+    check_request(limits, request, high, nyquist)
+    samples = round(1.0 / (request.resolution * period))
     settle = round(max(0.2, 2.0 / low) / period)
     wave: Wave
-    if steps is not None:
-        wave = SteppedSine.between(low * period, high * period, steps, samples)
+    if request.steps is not None:
+        wave = SteppedSine.between(low * period, high * period, request.steps, samples)
     else:
-        fade, random = min(settle, samples // 2), np.random.default_rng(seed)
+        fade, random = min(settle, samples // 2), np.random.default_rng(request.seed)
         wave = MultiSine.between(low * period, high * period, samples, fade, random)
-    requested, speed = speed, _between_steps(speed, axis, wave)
+    speed, at = _between_steps(request.speed, axis, wave), request.at
     loop = axis_loop(axis, speed)
     if not loop.stable:
         raise UnstableError(
@@ -307,12 +338,12 @@ def design_experiment(
             f"{max(flat, 0) * period:.3g} s, expected at least {wave.shortest * period:.4g} s: {needed / ROOM:.3g} m, "
             "a lower speed, or a coarser resolution"
         )
-    check_length(wave.length(flat, passes) * (1.0 + 2.0 * (ramp / period + settle) / flat), period)
+    check_length(wave.length(flat, request.passes) * (1.0 + 2.0 * (ramp / period + settle) / flat), period)
     f = wave.cycles / period
     w = 2.0 * np.pi * f
     by = "voltage" if at == PLACES[0] else "reference"
     command = loop.response(w, "voltage", by) + (1.0 if at == PLACES[0] else 0.0)
-    added = w**-slope / np.maximum(np.abs(command), 1.0 / STEEPEST if by == "voltage" else 1e-12)
+    added = w**-request.slope / np.maximum(np.abs(command), 1.0 / STEEPEST if by == "voltage" else 1e-12)
     spectrum = wave.phased(added, command)
     velocity = spectrum * loop.response(w, "velocity", by)
     unit = {
@@ -327,7 +358,7 @@ def design_experiment(
     carried = spectrum
     if by == "reference" and _follows_velocity(axis):
         carried = spectrum * period / (1.0 - np.exp(-1j * w * period))
-    trains, each = wave.trains(amplitude * carried, flat, passes)
+    trains, each = wave.trains(amplitude * carried, flat, request.passes)
 
     def signals(share: float) -> LoopInputs:
         return _passes(period, speed, ramp, settle, [share * train for train in trains], at)
@@ -344,15 +375,15 @@ def design_experiment(
         "command": max(steady + peaks["command"], reached.command),
         "stroke": max(float(np.ptp(q_ref)) + 2.0 * peaks["position"], reached.travel),
     }
-    noise = NOISE_SHARE * axis.mechanics.coulomb if noise is None else noise
+    noise = NOISE_SHARE * axis.mechanics.coulomb if request.noise is None else request.noise
     std = _expected(axis, speed, w, amplitude * np.abs(spectrum * command), each, noise)
     faint = int(np.count_nonzero(std > 0.3))
     words = (f"{faint} of {f.size} lines will hardly stand out of the noise",) if faint else ()
     periods = wave.periods(flat) if isinstance(wave, MultiSine) else BLOCKS
-    samples = samples if isinstance(wave, MultiSine) else int(np.max(each)) // BLOCKS // passes
+    samples = samples if isinstance(wave, MultiSine) else int(np.max(each)) // BLOCKS // request.passes
     return Experiment(
-        axis, wave.label, at, q_ref, excitation, f, std, requested, speed, len(trains), periods, samples, noise, peaks,
-        bound_by, words,
+        axis, wave.label, at, q_ref, excitation, f, std, request.speed, speed, len(trains), periods, samples, noise,
+        peaks, bound_by, words,
     )  # fmt: skip
 
 

@@ -31,9 +31,9 @@ import numpy as np
 
 from emps_design.errors import InputError, nearest_name, one_line
 from emps_design.files import read_bytes, write_aside
-from emps_design.notebook import table
 from emps_design.records.archives import is_v5, is_v73, read_v5, read_v73
 from emps_design.records.tables import read_plain_table
+from emps_design.view import Table, View, Viewed
 
 if TYPE_CHECKING:
     import control
@@ -64,7 +64,7 @@ BROAD = 0.3  # damping ratio above which there is no clear extreme
 
 
 @dataclass(frozen=True, eq=False)
-class FrequencyResponse:
+class FrequencyResponse(Viewed):
     """Lines of a response from force to velocity, in SI units.
 
     ``frequency`` (n,) [Hz] ascending; ``response`` (n,) complex [(m/s)/N]; ``std`` (n,) the standard deviation of the
@@ -179,14 +179,15 @@ class FrequencyResponse:
             "std": self.std,
         }
 
-    def _repr_html_(self) -> str:
+    def view(self) -> View:
+        """Number and band of the lines, and their usual deviation."""
         rows = (
             ("lines", len(self), ""),
             ("from", float(self.frequency[0]), "Hz"),
             ("to", float(self.frequency[-1]), "Hz"),
             ("relative standard deviation, median", float(np.median(self.std)), ""),
         )
-        return table(self.name, rows)
+        return (Table(("", "value", "unit"), rows, self.name),)
 
 
 def write_response(path: str | Path, response: FrequencyResponse) -> None:

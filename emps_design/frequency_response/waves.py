@@ -16,6 +16,9 @@ from typing import Protocol
 import numpy as np
 
 from emps_design.errors import InputError
+from emps_design.request import HERTZ, Request, option
+
+PLACES = ("command", "reference")  # where an excitation is added
 
 DRAWS = 100
 GROUP = 4  # one line of so many is left out
@@ -23,6 +26,31 @@ CLOSEST = 0.01  # least relative distance of neighbouring lines
 LEAST = 2  # periods of a multi-sine on a pass, besides the one in which the loop settles
 BLOCKS = 4  # of a step, besides the one in which the loop settles
 PAUSE = 32  # samples between two steps
+
+
+@dataclass(frozen=True)
+class ExcitationRequest(Request):
+    """How fast a carriage runs to and fro, and how it is excited meanwhile."""
+
+    speed: float = option(..., "speed of the passes, at most [m/s]; the excitation takes 80 %")
+    low: float = option(2.0, "lowest frequency [Hz]", flags=("--from",), **HERTZ)
+    high: float | None = option(None, "highest frequency [Hz]; 0.8 of Nyquist", flags=("--to",), **HERTZ)
+    resolution: float = option(
+        0.5, "base line of a multi-sine [Hz]; a step takes as long as its period", **HERTZ
+    )
+    passes: int = option(4, "passes, to and fro; how often each step comes", limits=(1, 1000))
+    slope: float = option(0.5, "the command falls with this power of f", limits=(0.0, 3.0))
+    at: str = option(PLACES[0], "command: added to the controller's output; or reference", choices=PLACES)
+    noise: float | None = option(
+        None, "force noise to expect [N rms, white]; 2 % of the Coulomb friction", limits=(0.0, None)
+    )
+    seed: int = option(0, "seed of lines and phases of a multi-sine", limits=(0, None))
+    steps: int | None = option(None, "a stepped sine of so many lines, no multi-sine", limits=(None, 2000))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.steps is not None:
+            self.refuse(["seed"], "goes without `steps`: a stepped sine leaves nothing to chance")
 
 
 class Wave(Protocol):

@@ -23,13 +23,15 @@ ARGUMENT = re.compile(r"`([^`]+)`")
 
 
 def texts(source: str) -> list[str]:
-    """Every string of Python ``source`` but its docstrings."""
+    """Every string of Python ``source`` but its docstrings and the flags of an option."""
     nodes = list(ast.walk(ast.parse(source)))
+    flags = [n.value for n in nodes if isinstance(n, ast.keyword) and n.arg == "flags"]
+    declared = {id(node) for value in flags for node in ast.walk(value)}
     documented = [
         n for n in nodes if isinstance(n, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(n)
     ]
     docstrings = {id(node.body[0].value) for node in documented}
-    found = [node for node in nodes if isinstance(node, ast.Constant) and id(node) not in docstrings]
+    found = [node for node in nodes if isinstance(node, ast.Constant) and id(node) not in docstrings | declared]
     return [node.value for node in found if isinstance(node.value, str)]
 
 

@@ -237,7 +237,7 @@ def test_the_command_falls_with_frequency_and_lines_are_odd():
             {"limits": Limits(1e6), "speed": 1e-3, "steps": 20, "resolution": 1e-3},
             "stroke: found an experiment of .* s, expected at most 5e\\+03 s",
         ),
-        ({"at": "motor"}, "place of the excitation: found 'motor', expected command or reference"),
+        ({"at": "motor"}, "`at`: found 'motor', expected one of command, reference"),
     ],
 )
 def test_refused(change, message):

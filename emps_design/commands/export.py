@@ -1,0 +1,95 @@
+"""The controller as code: C99, Structured Text, units of FMI 3.0 or JSON, with the vectors that prove it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from emps_design.axis import Axis
+from emps_design.commands import Reply
+from emps_design.commands.destinations import (
+    ARCHIVE,
+    AXIS,
+    CODE,
+    JSON,
+    OVERWRITE,
+    TABLE,
+    check_folder,
+    make_folder,
+)
+from emps_design.commands.options import axis_argument
+from emps_design.errors import InputError
+from emps_design.files import read_bytes
+from emps_design.request import HERTZ, Request, option
+from emps_design.view import Line
+
+if TYPE_CHECKING:
+    from emps_design.codegen import Exported
+
+MAX_BYTES = 1_000_000  # of a compensation
+KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # any other file is code
+
+
+@dataclass(frozen=True)
+class ExportRequest(Request):
+    """What ``export`` takes: the axis, the target, the folder, and what is exported beside or in place of the law."""
+
+    axis: Axis = axis_argument(...)
+    target: str = option(..., "c, st, fmu or json", flags=("--to",))
+    out: Path = option(..., "folder for the code, made where there is none", metavar="DIR")
+    compensation: Path | None = option(
+        None, "compensation.json of 'compensate --out': fed forward beside it", metavar="FILE"
+    )
+    observer: float | None = option(
+        None, "the on-line force observer with this low-pass [Hz], in place of the controller", **HERTZ
+    )
+    force: bool = option(False, OVERWRITE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.observer is not None:
+            self.refuse(["compensation"], "goes without `observer`")
+
+    def check_folder(self, kinds: dict[str, str]) -> None:
+        """Refuse a folder that cannot be made, or that holds other files than ``kinds``, by their names."""
+        check_folder(self.out, kinds, (self.sources.get("axis"), self.compensation), self.force)
+
+
+def answer(request: ExportRequest) -> Reply:
+    """The files of the target, written into the folder, and what is in them."""
+    request.check_folder({})
+    exported = _exported(request)
+    request.check_folder({name: KINDS.get(Path(name).suffix, CODE) for name in exported.files})
+    make_folder(request.out)
+    exported.write(request.out)
+    document = {"out": str(request.out), **exported.to_dict()}
+    view = (Line(f"{request.out}: {', '.join(exported.files)}"), *exported.view())
+    return Reply(document, view, request.axis.units, warnings=tuple(document["warnings"]), advised=False)
+
+
+def _exported(request: ExportRequest) -> Exported:
+    from emps_design.codegen import export_controller, export_observer
+    from emps_design.codegen.targets import origin_of
+
+    feedforward = None if request.compensation is None else _read(request.compensation)
+    file = Path(request.sources.get("axis", ""))
+    origin = origin_of(file.name, file.read_bytes()) if file.is_file() else ""
+    if request.observer is not None:
+        return export_observer(request.axis, request.target, request.observer, origin)
+    return export_controller(request.axis, request.target, feedforward, origin)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Read the JSON document of a compensation; the library checks its content."""
+    expected = "expected the compensation.json of 'compensate --out'"
+    try:
+        document = json.loads(read_bytes(path, MAX_BYTES, expected))
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not JSON, {expected}") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: found {type(document).__name__}, {expected}")
+    return document
