@@ -32,10 +32,10 @@ from emps_design.files import read_bytes
 from emps_design.laws import NONE, leaves, unit_of
 from emps_design.laws.estimators import NAME, TABLE
 from emps_design.laws.law import NUMBER, RECORDED
-from emps_design.notebook import table
 from emps_design.records import Record
 from emps_design.records.layout import Column, ColumnMap
 from emps_design.units import Units
+from emps_design.view import Table, View, Viewed
 
 MAX_BYTES = 1_000_000  # of an axis file
 NEW_LINE = "\n"
@@ -110,7 +110,7 @@ def _printable(name: str) -> str:
     return name
 
 
-class Axis(AxisTable):
+class Axis(Viewed, AxisTable):
     """Everything that is known about one machine.
 
     >>> axis = Axis(name="small", mechanics={"mass": 10, "viscous": 20, "coulomb": 1}, drive={"force_gain": 5},
@@ -241,19 +241,20 @@ class Axis(AxisTable):
         unchanged = repr(data) == repr(own)  # True is no 1.0, and an array no number
         return self if unchanged else Axis.from_dict(data, self.name)
 
-    def _repr_html_(self) -> str:
+    def view(self) -> View:
+        """Every key of the axis file with its value and unit."""
         kind, unit = self.controller.kind, self.units.unit
         rows = [
-            (name, ".".join(path), value, unit(unit_of(field_in((name, *path), kind))))
+            (name, ".".join(path), _in_words(value), unit(unit_of(field_in((name, *path), kind))))
             for name in TABLES
             for path, value in leaves(getattr(self, name).model_dump(exclude_none=True))
         ]
         rows += [
-            (effect.kind, parameter.name, effect.parameters[parameter.name], unit(parameter.unit))
+            (effect.kind, parameter.name, _in_words(effect.parameters[parameter.name]), unit(parameter.unit))
             for effect in self.effects
             for parameter in effect.effect.parameters
         ]
-        return table(self.name, rows, ("table", "key", "value", "unit"))
+        return (Table(("table", "key", "value", "unit"), rows, self.name, words=("key", "unit")),)
 
     def _commented(self, text: str) -> str:
         """``text`` with a comment, description and unit, after each line that sets a key."""
@@ -267,6 +268,13 @@ class Axis(AxisTable):
             unit = self.units.unit(unit_of(field))
             lines.append(f"{line:<36}  # {self.units.words(field.description)}{f' [{unit}]' if unit else ''}")
         return "\n".join(lines) + "\n"
+
+
+def _in_words(value: Any) -> str:
+    """A value of an axis file as a reader sees it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def record_toml(columns: Mapping[str, Mapping[str, Any] | Sequence[str]]) -> str:

@@ -35,9 +35,7 @@ class ExcitationRequest(Request):
     speed: float = option(..., "speed of the passes, at most [m/s]; the excitation takes 80 %")
     low: float = option(2.0, "lowest frequency [Hz]", flags=("--from",), **HERTZ)
     high: float | None = option(None, "highest frequency [Hz]; 0.8 of Nyquist", flags=("--to",), **HERTZ)
-    resolution: float = option(
-        0.5, "base line of a multi-sine [Hz]; a step takes as long as its period", **HERTZ
-    )
+    resolution: float = option(0.5, "base line of a multi-sine [Hz]; a step takes as long as its period", **HERTZ)
     passes: int = option(4, "passes, to and fro; how often each step comes", limits=(1, 1000))
     slope: float = option(0.5, "the command falls with this power of f", limits=(0.0, 3.0))
     at: str = option(PLACES[0], "command: added to the controller's output; or reference", choices=PLACES)

@@ -23,6 +23,7 @@ from emps_design.records.columns import NAMES, meanings, plain_title, title_unit
 from emps_design.records.layout import KEYS, MAPPED, NAMED, RECOGNISED, Assignment, Column, ColumnMap, Layout
 from emps_design.records.readers import read_titles
 from emps_design.units import COMMANDS, MOTIONS, Units
+from emps_design.view import Line, Table, View, Viewed, sparkline
 
 FEW_STEPS = 20.5  # of an encoder: largest increment that is fitted
 SMALLEST = (20, 5, 0)  # ranks of the smallest increments that are tried as the step: a few may be disturbed
@@ -54,7 +55,7 @@ FEWEST_AT_LIMIT = 20
 
 
 @dataclass(frozen=True)
-class Account:
+class Account(Viewed):
     """An imported ``record`` beside the ``axis`` that it was read for."""
 
     record: Record
@@ -93,6 +94,33 @@ class Account:
         absent = {name: column for name, column in self.axis.record.named.items() if name not in there}
         return record_table(assigned, absent, self.axis.record.accept)
 
+    def view(self) -> View:
+        """What each column was taken for, clock and encoder, the main signals, and the table for the axis file."""
+        record, units, resampled = self.record, self.axis.units, self.record.measured is not None
+        own = " (the axis has this period)" if record.period == self.axis.sampling.period else ""
+        view: list[Line | Table] = [
+            Table(HEADINGS, self.rows, f"{record.name}, read for {self.axis.name}", ("unit", "is", "found")),
+            Line(
+                f"{len(record)} samples of {1e3 * record.period:.6g} ms{own}, {record.duration:.6g} s"
+                f"{', resampled' if resampled else ''}"
+            ),
+        ]
+        step = self.encoder_step
+        if step is not None:
+            unit, factor = units.display(step, "m")
+            view.append(Line(f"encoder step seen in q: {factor * step:.4g} {unit}"))
+        signals = [name for name in ("q_ref", "q", "u") if name in record.columns]
+        view += [Line(f"{name:>6} {sparkline(record.columns[name])}", "code") for name in signals]
+        if self.recognised:
+            view += [Line(""), Line("Titles were understood; put this into the axis file:"), Line("")]
+            view += [Line(line, "code") for line in self.table.rstrip(NEW).split(NEW)]
+        return tuple(view)
+
+    @property
+    def recognised(self) -> bool:
+        """Whether a column was understood by its title, not by the axis file or its name."""
+        return any(assignment.how == RECOGNISED for assignment in self.record.assigned)
+
     def to_dict(self) -> dict[str, Any]:
         """Columns, clock, encoder and notes as plain data."""
         record, units = self.record, self.axis.units
@@ -115,7 +143,7 @@ class Account:
                 "unit": units.unit("m"),
             },
             "record_table": self.table,
-            "recognised": any(assignment.how == RECOGNISED for assignment in record.assigned),
+            "recognised": self.recognised,
             "warnings": list(self.notes),
         }
 

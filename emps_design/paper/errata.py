@@ -12,6 +12,7 @@ from typing import Any
 from emps_design.paper.derivations import derivation
 from emps_design.paper.derivations.model import NOT_AS_PRINTED, DerivationStep
 from emps_design.paper.written import latex
+from emps_design.view import Line, View
 
 HEAD = r"""\documentclass[10pt]{article}
 \usepackage{amsmath,amssymb}
@@ -103,6 +104,18 @@ PLACES: dict[str, tuple[str, ...]] = {
     "29": (f"{_LIBRARY}.observed_force", "emps_design.observer.ForceObserver"),
     "30": (f"{_LIBRARY}.impedance",),
 }
+
+
+def view() -> View:
+    """What a reader sees of every part of the derivation, and of the errata."""
+    parts = derivation().values()
+    steps = [line for title, steps in parts for line in (_heading(title), *(line for s in steps for line in s.view()))]
+    errata = [Line(f"{erratum.place} {erratum.title}: {erratum.text}", "prose") for erratum in find_errata()]
+    return (*steps, _heading("Where the paper differs"), *errata)
+
+
+def _heading(title: str) -> Line:
+    return Line(f"{title} ".ljust(80, "─"), "strong")
 
 
 def document() -> str:

@@ -12,12 +12,12 @@ import numpy as np
 
 from emps_design.errors import InputError, RecordError
 from emps_design.files import write_aside
-from emps_design.notebook import table
 from emps_design.records.check import PLAIN, check_columns
 from emps_design.records.clock import same_period
 from emps_design.records.columns import OPTIONAL, RECORD
 from emps_design.records.layout import MAPPED, Assignment, Layout
 from emps_design.stretches import stretches
+from emps_design.view import Line, Table, View, Viewed
 
 MEASURED = "measured."  # prefix, in an archive, of the signals before they were resampled
 
@@ -25,7 +25,7 @@ BRIDGE = 1.0  # s from one record to the next
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(Viewed):
     """Equally sampled signals of one run.
 
     ``t`` [s] starts at 0 with the nominal ``period`` [s]; ``q_ref`` reference and ``q`` encoder position [m, rad of a
@@ -199,16 +199,16 @@ class Record:
             "warnings": list(self.warnings),
         }
 
-    def _repr_html_(self) -> str:
+    def view(self) -> View:
+        """Length, period, stroke, largest command and columns; without its axis a record has no units."""
         rows = (
             ("samples", len(self), ""),
             ("period", self.period, "s"),
             ("duration", self.duration, "s"),
             ("stroke", float(np.ptp(self.q)), "m or rad"),
             ("largest command", float(np.max(np.abs(self.u))), "as the drive counts"),
-            ("columns", ", ".join(self.columns), ""),
         )
-        return table(self.name, rows)
+        return (Table(("", "value", "unit"), rows, self.name), Line(f"columns: {', '.join(self.columns)}"))
 
 
 def joined(records: Sequence[Record], rotary: bool = False) -> Record:

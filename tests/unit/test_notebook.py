@@ -20,9 +20,9 @@ def record():
 
 def test_an_axis_with_its_effects():
     html = RIPPLED._repr_html_()
-    assert html.startswith("<p>emps2019</p>")
-    assert "<td>mechanics</td><td>mass</td><td>95.109</td><td>kg</td>" in html
-    assert "<td>position_ripple</td><td>period</td><td>0.0025</td><td>m</td>" in html
+    assert html.startswith("<table><caption>emps2019</caption>")
+    assert '<td>mechanics</td><td>mass</td><td class="number">95.109</td><td>kg</td>' in html
+    assert '<td>position_ripple</td><td>period</td><td class="number">0.0025</td><td>m</td>' in html
     assert "None" not in html
 
 

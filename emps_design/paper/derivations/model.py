@@ -28,6 +28,7 @@ from emps_design.paper.written import (
     latex,
     text,
 )
+from emps_design.view import Line, View, Viewed
 
 AS_PRINTED, NOT_AS_PRINTED, FAILS = "as printed", "not as printed", "does not hold"
 
@@ -46,7 +47,7 @@ X_true = sp.MatrixSymbol("X", y.p, 1)
 
 
 @dataclass(frozen=True)
-class DerivationStep:
+class DerivationStep(Viewed):
     """One step of a derivation.
 
     ``number`` is the equation number of the paper ("" for a step between two of its equations), ``assumes`` what the
@@ -91,6 +92,20 @@ class DerivationStep:
             return NOT_AS_PRINTED
         read = " and ".join(f"{text(symbol)} is read as {text(meant)}" for symbol, meant in self.read_as.items())
         return f"{AS_PRINTED} once {read}" if read else AS_PRINTED
+
+    def view(self) -> View:
+        """The step with its verdict, what it assumes and what was checked, and the equation beside a printed one."""
+        title = "  ".join(filter(None, (self.title, f"({self.number})" if self.number else "", self.verdict)))
+        style = "good" if self.agrees else "bad" if self.verdict else "strong"
+        return (
+            Line(""),
+            Line(title, style),
+            Line(self.text, "prose"),
+            *([Line(f"assumes: {'; '.join(self.assumes)}", "prose")] if self.assumes else []),
+            *(Line(f"checked: {claim}{'' if true else ': FOUND FALSE'}", "prose") for claim, true in self.checks),
+            Line(f"    {text(self.equation)}", "code"),
+            *([Line("printed:"), Line(f"    {text(self.printed)}", "code")] if self.agrees is False else []),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Words, and equations as LaTeX and as text."""

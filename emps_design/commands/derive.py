@@ -1,0 +1,60 @@
+"""Every equation of the paper step by step, and where the printed ones differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from emps_design.commands import Reply
+from emps_design.request import Request, option
+from emps_design.units import Units
+from emps_design.view import Line
+
+MACHINE, MASS, DAMPING = "emps2018", 50.0, 100.0  # of the paper's experiments, for what (30) as printed costs
+
+
+@dataclass(frozen=True)
+class DeriveRequest(Request):
+    """What ``derive`` takes."""
+
+    latex: bool = option(False, "a LaTeX document of the derivations", printed=True)
+
+
+def answer(request: DeriveRequest) -> Reply:
+    """The derivations with the errata, and what (30) as printed costs on the paper's axis."""
+    from emps_design.paper import errata
+
+    if request.latex:
+        return Reply({}, (Line(errata.document(), "code"),), Units(), advised=False)
+    from emps_design.laws.friction_model import FrictionModel
+    from emps_design.machines import machine
+    from emps_design.paper.derivations import derivation
+    from emps_design.paper.derivations.impedance import cost_of_printed
+
+    parts = derivation()
+    cost = cost_of_printed(FrictionModel.of(machine(MACHINE)), mass=MASS, damping=DAMPING)
+    document = {
+        **{
+            name: {"title": title, "steps": [step.to_dict() for step in steps]}
+            for name, (title, steps) in parts.items()
+        },
+        "errata": [erratum.to_dict() for erratum in errata.find_errata()],
+        "cost_of_printed_30": {"axis": MACHINE, "M_a": MASS, "B": DAMPING, **cost},
+        "warnings": [
+            f"{step.place} {step.title}: {claim}: found false"
+            for _, steps in parts.values()
+            for step in steps
+            for claim, true in step.checks
+            if not true
+        ],
+    }
+    costs = [
+        Line(
+            f"  {name}: apparent mass {felt['apparent_mass']:.1f} kg, damping {felt['apparent_damping']:.1f} N/(m/s), "
+            f"Coulomb friction left {felt['coulomb_left']:.1f} N",
+            "prose",
+        )
+        for name, felt in cost.items()
+    ]
+    asked = f"What (30) as printed costs on {MACHINE} with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):"
+    view = (*errata.view(), Line(""), Line(asked), *costs)
+    return Reply(document, view, Units(), advised=False)
