@@ -18,7 +18,6 @@ from emps_design.control.velocity.gains import FILTER_TEXTS, NO_FILTER, filter_f
 from emps_design.errors import InputError
 from emps_design.files import write_text
 from emps_design.laws.estimators import NUMBERS
-from emps_design.quantities import read_frequency
 from emps_design.request import HERTZ as HERTZ, RAD_S as RAD_S, RATIO as RATIO, Request, option
 
 if TYPE_CHECKING:
