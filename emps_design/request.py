@@ -89,9 +89,13 @@ class Request:
     progress: Progress = field(default=no_progress, kw_only=True, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        units = getattr(getattr(self, "axis", None), "units", Units())
         for declared in options_of(type(self)):
-            _check(declared, getattr(self, declared.name), units)
+            _check(declared, getattr(self, declared.name), self.units)
+
+    @property
+    def units(self) -> Units:
+        """The units of its axis, or of a linear one."""
+        return getattr(getattr(self, "axis", None), "units", Units())
 
     def refuse(self, names: Iterable[str], why: str) -> None:
         """Raise :class:`InputError` with ``why`` if the user set one of ``names``, which would have no effect."""
@@ -125,7 +129,9 @@ def options_of(request: type[Request]) -> list[Field[Any]]:
 
 
 def flags_of(declared: Field[Any]) -> tuple[str, ...]:
-    """The flags of an option on the command line, the one that messages name first."""
+    """The flags of an option on the command line, the one that messages name first; an argument has its name there."""
+    if declared.metadata[OPTION].argument:
+        return (declared.name.upper(),)
     return declared.metadata[OPTION].flags or (f"--{declared.name.strip('_').replace('_', '-')}",)
 
 

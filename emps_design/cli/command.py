@@ -95,9 +95,8 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     if as_json:
         _refuse_printed(kind, given)
     with output.progress_bar(not as_json or sys.stderr.isatty()) as progress:
-        request: Any = make_request(kind, own, given, progress=progress)
-        if "axis" in own:
-            output.set_units(request.axis.units)  # of the messages of errors
+        request = make_request(kind, own, given, progress=progress)
+        output.set_units(request.units)
         answer: Reply = module.answer(request)
     document, axis = answer.document, own.get("axis")
     output.set_units(answer.units)

@@ -19,6 +19,8 @@ from emps_design.control.nested_loops import worst_loop
 from emps_design.laws.library import ip_velocity
 from emps_design.quantities import one_two_five
 from emps_design.request import Request, option, takes
+from emps_design.simulation.view import scenario_view
+from emps_design.view import View, Viewed
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
 OF_MASS = 115.7315  # kg, mass of their carriage
@@ -28,7 +30,7 @@ NO_SENSOR, SENSOR, CASCADE = "impedance, no sensor", "impedance, force sensor", 
 
 
 @dataclass(frozen=True)
-class Comanipulation:
+class Comanipulation(Viewed):
     """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law.
 
     ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``taken`` names the parameters
@@ -78,6 +80,10 @@ class Comanipulation:
             "study": self.study.to_dict(),
             "warnings": [*own_words, *dict.fromkeys((*nominal_words, *self.study.warnings))],
         }
+
+    def view(self) -> View:
+        """The verdict, and what the operator feels."""
+        return scenario_view(self.to_dict(), self.assessment.axis.units)
 
 
 @dataclass(frozen=True)

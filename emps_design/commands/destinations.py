@@ -73,7 +73,9 @@ def check_named_out(
     if out is None:
         return
     if out.suffix not in kinds:
-        raise InputError(f"{option}: found {out.name!r}, expected a name that ends in {' or '.join(kinds)}")
+        *others, last = kinds
+        expected = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{option}: found {out.name!r}, expected a name that ends in {expected}")
     check_out(out, kinds[out.suffix], inputs, force, option)
 
 

@@ -31,13 +31,14 @@ from emps_design.progress import Progress
 from emps_design.quantities import Quantity
 from emps_design.records import Record
 from emps_design.simulation import Plant
+from emps_design.view import Table, View, Viewed
 
 PAPER, CHOSEN = "paper", "chosen"
 
 MODEL = "asymmetric"
 
 # For comparison with the bench's results: never used in a computation.
-PRINTED = {**TABLES, **RANGES, "break_away": BREAK_AWAY}
+PRINTED: dict[str, Any] = {**TABLES, **RANGES, "break_away": BREAK_AWAY}
 
 
 @dataclass(frozen=True)
@@ -391,7 +392,7 @@ def _low_passed(signal: np.ndarray, gain: float, decay: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class SectionThree:
+class SectionThree(Viewed):
     """Results of section III: identification of ten, observation of ten others, direct validation of these.
 
     ``rms_1``, ``rms_2``, ``rms_direct`` (10,) [N] as the paper defines them; ``table_1`` and ``table_2`` rows of
@@ -449,6 +450,25 @@ class SectionThree:
                 "errors come out alike"
             ],
         }
+
+    def view(self) -> View:
+        """Tables I and II and the errors, beside those printed."""
+        headings = ("parameter", "value", "2 sigma", "% sigma", "printed", "2 sigma", "% sigma")
+        tables = [
+            Table(headings, [(name.replace("_", " "), *row, *PRINTED[key][name]) for name, row in own.items()], title)
+            for key, title, own in (("table_1", "Table I", self.table_1), ("table_2", "Table II", self.table_2))
+        ]
+        rows = [
+            (title, f"{errors.min():.2f} to {errors.max():.2f}", "{:g} to {:g}".format(*PRINTED[key]))
+            for key, title, errors in (
+                ("rms_1", "identification", self.rms_1),
+                ("rms_2", "observation", self.rms_2),
+                ("rms_direct", "direct validation", self.rms_direct),
+            )
+        ]
+        rows.append(("break-away forth", f"{self.bench.break_away[0]:.2f}", f"{PRINTED['break_away']:g}"))
+        errors = Table(("", "found", "printed"), rows, "Errors [N], least and largest of ten", ("found", "printed"))
+        return *tables, errors
 
 
 def reproduce_section_3(

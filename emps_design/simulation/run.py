@@ -19,11 +19,11 @@ from emps_design.errors import RecordError
 from emps_design.files import write_aside
 from emps_design.laws import NONE, law_of
 from emps_design.laws.law import Law
-from emps_design.notebook import table
 from emps_design.records import Record
 from emps_design.records.columns import PLAIN, RECORD
 from emps_design.simulation.kernels.compile import address, cached, call_law, pointer, shifted
 from emps_design.units import Units
+from emps_design.view import Table, View, Viewed
 
 # name: (label, unit) of every signal of a run
 SIGNALS = {
@@ -98,7 +98,7 @@ def _along(law, reference, q, sensed, limit, gains, memory, out):  # type: ignor
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Viewed):
     """One simulated run, one row per sample.
 
     ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
@@ -247,7 +247,8 @@ class Run:
             "signals": {name: {"label": DESCRIBED[name][0], "unit": DESCRIBED[name][1]} for name in self.signals},
         }
 
-    def _repr_html_(self) -> str:
+    def view(self) -> View:
+        """Length, time at rest and the largest signals."""
         at_rest = float(sum(end - begin for begin, end in self.stick_intervals))
         rows = (
             ("samples", len(self), ""),
@@ -257,7 +258,7 @@ class Run:
             ("largest motor force", float(np.max(np.abs(self.force))), "N"),
             ("largest voltage", float(np.max(np.abs(self.u))), "V"),
         )
-        return table(self.name, rows)
+        return (Table(("", "value", "unit"), rows, self.name),)
 
     def plot(self, axes: Any = None) -> Any:
         """Draw position, velocity and motor force over time, labelled with units; returns the matplotlib axes."""

@@ -23,7 +23,6 @@ from emps_design.control.nested_loops import loop_in_words, nested_loops, worst_
 from emps_design.errors import AxisError, InputError, RecordError, SimulationError, UnstableError
 from emps_design.files import read_bytes
 from emps_design.laws import leaves
-from emps_design.notebook import table
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.records.archives import read_archive
@@ -32,7 +31,9 @@ from emps_design.records.columns import PLAIN, read_title
 from emps_design.records.tables import read_plain_table
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import EVENTS, Run, driven_by
+from emps_design.simulation.view import scenario_view
 from emps_design.units import Units
+from emps_design.view import Cell, Line, Table, View, Viewed
 
 STEP = math.sqrt(2.0)  # factor from one trial value of a controller parameter to the next
 STEPS = 12  # in each direction; further away a loop runs because it hardly moves
@@ -40,6 +41,7 @@ STEPS = 12  # in each direction; further away a loop runs because it hardly move
 MAX_BYTES = 100_000_000
 MAX_SAMPLES = LONGEST
 
+ERRORS = {"position": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}  # units of the errors of a replay
 ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
 DROPPED = 50  # samples left out of the relative errors, as in the report of the data set, and behind each gap
 SPAN = 8  # samples over which the velocity after a gap is averaged
@@ -245,7 +247,7 @@ def relative_error_percent(
 
 
 @dataclass(frozen=True)
-class Replay:
+class Replay(Viewed):
     """A record and the simulation of its axis from the reference alone (or from ``u``, without a controller).
 
     ``relative_error_percent`` has position, velocity, acceleration (central differences of the positions) and force
@@ -274,21 +276,33 @@ class Replay:
             "relative_error_percent": self.relative_error_percent,
             "rms_error": self.rms_error,
             "mean_absolute_error": self.mean_absolute_error,
-            "units": {
-                "relative_error_percent": "%",
-                "position": "m",
-                "velocity": "m/s",
-                "acceleration": "m/s^2",
-                "force": "N",
-            },
+            "units": {"relative_error_percent": "%", **ERRORS},
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }
 
-    def _repr_html_(self) -> str:
-        rows = [(name, error, "%", self.rms_error.get(name)) for name, error in self.relative_error_percent.items()]
-        title = f"{self.record.name}: measured against {self.axis.name} simulated"
-        return self.axis.units.text(table(title, rows, ("signal", "relative error", "unit", "rms error [SI]")))
+    def view(self) -> View:
+        """How far simulation and record are apart in every signal."""
+        loop = "closed loop" if self.closed_loop else "open loop"
+        effects = ", ".join(effect.kind for effect in self.axis.effects)
+        how = f"{loop}, {len(self.record)} samples{f', with {effects}' if effects else ''}"
+        headings = ("signal", "relative error [%]", "rms error", "mean absolute error", "unit")
+        title = f"{self.record.name}, measured against {self.axis.name} simulated"
+        return Line(how), Table(headings, [self._row(name) for name in self.relative_error_percent], title)
+
+    def _row(self, name: str) -> tuple[Cell, ...]:
+        """The errors of the signal ``name``, in the unit that suits the rms."""
+        relative, rms, absolute = (
+            error.get(name) for error in (self.relative_error_percent, self.rms_error, self.mean_absolute_error)
+        )
+        unit, factor = self.axis.units.display(rms or 0.0, ERRORS[name])
+        word = self.axis.units.words(name)
+        return word, *(_digits(relative, 1.0), _digits(rms, factor), _digits(absolute, factor)), unit
+
+
+def _digits(value: float | None, factor: float) -> str | None:
+    """``value`` times ``factor`` with six digits; None where it is undefined."""
+    return None if value is None or not math.isfinite(value) else f"{factor * value:.6g}"
 
 
 def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
@@ -356,7 +370,7 @@ def _compared(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class Breakaway:
+class Breakaway(Viewed):
     """Break-away forces of a carriage at rest under a slowly rising force [N]; None if it held up to the peak.
 
     Friction at rest is half the difference of ``forward`` and ``backward``, the constant force half their sum (with its
@@ -390,6 +404,10 @@ class Breakaway:
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }
+
+    def view(self) -> View:
+        """The break-away forces."""
+        return scenario_view(self.to_dict(), self.axis.units)
 
 
 MOVED = 1e-3  # m of travel that count as break-away if friction is an elastic contact, which moves from the start
@@ -459,7 +477,7 @@ HELD = "is unstable; only limits hold it"
 
 
 @dataclass(frozen=True)
-class Followed:
+class Followed(Viewed):
     """A run in closed loop along a user's reference."""
 
     axis: Axis
@@ -488,6 +506,10 @@ class Followed:
             "warnings": list(self.warnings),
             **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst)} {HELD}"}),
         }
+
+    def view(self) -> View:
+        """Tracking error and largest signals."""
+        return scenario_view(self.to_dict(), self.axis.units)
 
 
 def follow(
