@@ -84,7 +84,7 @@ def in_the_studio(work: Callable[[Callable], object], moment: float) -> float | 
 
 def main() -> None:
     """Cancel everything at every moment, and write the longest."""
-    from emps_design.discrepancy.diagnose import diagnose
+    from emps_design.discrepancy.diagnosis import diagnose
     from emps_design.files import write_text
     from emps_design.machines import machine
     from emps_design.simulation.synthetic import synthetic_record

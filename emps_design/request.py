@@ -70,7 +70,8 @@ class Request:
     """Base of every request.
 
     ``given`` are the names of the fields that the user set, ``sources`` the names and paths that values were read from;
-    ``progress`` gets the stage and the share done.
+    ``progress`` gets the stage and the share done; with ``overwrite`` files that hold something else are overwritten. Other
+    fields that are no options are for Python alone.
 
     >>> @dataclass(frozen=True)
     ... class Push(Request):
@@ -87,6 +88,7 @@ class Request:
     given: frozenset[str] = field(default=frozenset(), kw_only=True, repr=False, compare=False)
     sources: Mapping[str, Any] = field(default_factory=dict, kw_only=True, repr=False, compare=False)
     progress: Progress = field(default=no_progress, kw_only=True, repr=False, compare=False)
+    overwrite: bool = field(default=False, kw_only=True, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for declared in options_of(type(self)):
@@ -145,8 +147,9 @@ def make_request(kind: type[RequestType], values: Mapping[str, Any], given: Iter
     """
     read: dict[str, Any] = {}
     for entry in sorted(options_of(kind), key=lambda entry: entry.name != "axis"):
-        if entry.name in values:
-            read[entry.name] = _read(entry, values[entry.name], read.get("axis"))
+        value = values.get(entry.name, entry.default)
+        if value is not MISSING:
+            read[entry.name] = _read(entry, value, read.get("axis"))
     sources = {entry.name: values[entry.name] for entry in options_of(kind) if _is_source(entry, values)}
     return kind(**read, given=frozenset(given), sources=sources, **more)
 
@@ -195,6 +198,7 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
     def decorate(function: Callable[..., Answer]) -> Callable[..., Answer]:
         before, after = _around_request(function)
         signature = _signature(kind, function)
+        others = [entry.name for entry in _for_python(kind)]
 
         @functools.wraps(function)
         def call(*arguments: Any, **named: Any) -> Answer:
@@ -202,9 +206,9 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
                 return function(*arguments, **named)
             values = signature.bind(*arguments, **named).arguments
             passed = [values.pop(parameter.name) for parameter in before]
-            progress = values.pop("progress", None) or no_progress
+            own = {name: value for name in others if (value := values.pop(name, None)) is not None}
             more = {name: value for parameter in after for name, value in values.pop(parameter.name, {}).items()}
-            return function(*passed, make_request(kind, values, values, progress=progress), **more)
+            return function(*passed, make_request(kind, values, values, **own), **more)
 
         described: Any = call
         described.__signature__ = signature
@@ -234,9 +238,18 @@ def _signature(kind: type[Request], function: Callable[..., Any]) -> inspect.Sig
         )
         for entry in options_of(kind)
     ]
-    progress = inspect.Parameter("progress", inspect.Parameter.KEYWORD_ONLY, default=None, annotation="Progress")
+    others = [
+        inspect.Parameter(entry.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=entry.type)
+        for entry in _for_python(kind)
+    ]
     returned = inspect.signature(function).return_annotation
-    return inspect.Signature([*before, *options, progress, *after], return_annotation=returned)
+    return inspect.Signature([*before, *options, *others, *after], return_annotation=returned)
+
+
+def _for_python(kind: type[Request]) -> list[Field[Any]]:
+    """The fields of ``kind`` that are no options, and that a caller in Python may set."""
+    own = ("given", "sources", "overwrite")
+    return [entry for entry in dataclasses.fields(kind) if OPTION not in entry.metadata and entry.name not in own]
 
 
 def types_of(kind: type[Request]) -> dict[str, Any]:

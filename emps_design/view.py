@@ -129,7 +129,7 @@ def _rich(table: Table) -> RichTable:
     return shown
 
 
-def sparkline(values: Sequence[float], width: int = 60) -> str:
+def sparkline(values: Any, width: int = 60) -> str:
     """The means of ``values`` (n,) drawn in ``width`` characters.
 
     >>> import numpy as np

@@ -8,7 +8,7 @@ import sys
 import warnings
 from io import TextIOWrapper
 
-from emps_design.cli import interrupts
+from emps_design import interrupts
 from emps_design.cli.app import run
 from emps_design.cli.output import tell
 

@@ -12,12 +12,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from emps_design import __version__
-from emps_design.cli import interrupts
+from emps_design import __version__, interrupts
 from emps_design.cli.command import TURNING, register_command
-from emps_design.cli.interrupts import STATUS as INTERRUPTED
 from emps_design.cli.output import advice_on_error, begin, print_json, tell
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
+from emps_design.interrupts import STATUS as INTERRUPTED
 
 if TYPE_CHECKING:
     import typer

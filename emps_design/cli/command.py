@@ -87,7 +87,7 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     """Make the request from the ``values`` of the command line, answer it and print the answer; its exit status."""
     kind = request_of(module)
     flags = {entry.name: flags_of(entry)[0] for entry in options_of(kind)}
-    output.set_flags(flags)
+    output.set_flags(flags | {"overwrite": "--force"})
     given = [key for key in flags if _from_words(context, key)]
     own = {key: value for key, value in values.items() if key in flags and value is not None}
     _check_outputs(kind, own, bool(values.get("force")))
@@ -95,7 +95,7 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     if as_json:
         _refuse_printed(kind, given)
     with output.progress_bar(not as_json or sys.stderr.isatty()) as progress:
-        request = make_request(kind, own, given, progress=progress)
+        request = make_request(kind, own, given, progress=progress, overwrite=bool(values.get("force")))
         output.set_units(request.units)
         answer: Reply = module.answer(request)
     document, axis = answer.document, own.get("axis")
@@ -105,7 +105,8 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
         records = own.get("records", own.get("record", ()))
         document = output.add_advice(document, axis, [records] if isinstance(records, str | Path) else records)
     if answer.write is not None:
-        document["out"] = answer.write(f"{output.json_text(document)}\n")
+        folder = answer.write(f"{output.json_text(document)}\n")
+        document |= {} if folder is None else {"out": folder}
     if as_json:
         output.print_json(document)
     else:

@@ -22,8 +22,8 @@ class Reply:
 
     ``document`` is the JSON, ``view`` what is printed instead, in ``units``. ``reason`` says why a design must not run.
     ``warnings`` go to standard error; those that the view prints are in the document alone. ``advised``: whether the
-    document gets advice. ``write`` writes the files that hold the whole document, of which it gets the JSON text, and
-    returns their folder.
+    document gets advice. ``write`` gets the JSON text with that advice, writes the files of an answer that hold it, and
+    may return their folder.
     """
 
     document: dict[str, Any]
@@ -32,7 +32,7 @@ class Reply:
     reason: str = ""
     warnings: tuple[str, ...] = ()
     advised: bool = True
-    write: Callable[[str], str] | None = None
+    write: Callable[[str], str | None] | None = None
 
     @property
     def status(self) -> int:

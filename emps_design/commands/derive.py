@@ -32,7 +32,7 @@ def answer(request: DeriveRequest) -> Reply:
 
     parts = derivation()
     cost = cost_of_printed(FrictionModel.of(machine(MACHINE)), mass=MASS, damping=DAMPING)
-    document = {
+    document: dict[str, Any] = {
         **{
             name: {"title": title, "steps": [step.to_dict() for step in steps]}
             for name, (title, steps) in parts.items()

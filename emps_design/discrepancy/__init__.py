@@ -1,6 +1,5 @@
 """Where simulation and machine disagree: locate it, name the missing effect, add it, show the gap shrink."""
 
-from emps_design.discrepancy.diagnose import diagnose
-from emps_design.discrepancy.result import Diagnosis, Finding
+import lazy_loader
 
-__all__ = ["Diagnosis", "Finding", "diagnose"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,6 +36,7 @@ from emps_design.discrepancy.preparation import (
     check_same_drive,
     user_choice,
 )
+from emps_design.discrepancy.request import DiagnosisRequest
 from emps_design.discrepancy.residual_views import (
     EVERYWHERE,
     extent,
@@ -46,14 +47,12 @@ from emps_design.discrepancy.residual_views import (
 )
 from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.unexplained import GAIN_KNOWN, ONE_FORCE, SAID, depends_on
-from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, OFFSET
 from emps_design.effects.sizes import sized, sizes
 from emps_design.identification.excitation import one_direction
 from emps_design.identification.model import LUMP, ONE_WAY
 from emps_design.identification.proposals import FEWEST_STROKES, LITTLE, TWICE, Unexplained
 from emps_design.observer import motor_force
-from emps_design.progress import Progress
 from emps_design.quantities import inside, rounded
 from emps_design.records import Record
 from emps_design.records.record import joined
@@ -347,20 +346,12 @@ def too_slow(records: Sequence[Record]) -> bool:
     return any(record.period > SLOWEST_PERIOD for record in records)
 
 
-def diagnose_along_motion(
-    records: tuple[Record, ...],
-    axis: Axis,
-    library: tuple[Effect, ...],
-    holdout: Record | None,
-    windows: tuple[Interval | None, Interval | None],
-    progress: Progress,
-    searched: Callable[[Axis], None],
-) -> Diagnosis:
-    """Diagnose ``records`` by the balance of forces along their motion; see :func:`emps_design.discrepancy.diagnose`.
+def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
+    """Diagnose the records of ``request`` by the balance of forces along their motion.
 
-    ``windows`` are what may be fitted and what confirms [s], of the first record. Raises :class:`InputError` for
-    records that cannot be judged so.
+    Raises :class:`InputError` for records that cannot be judged so.
     """
+    records, axis, holdout, progress = request.records, request.axis, request.holdout, request.progress
     progress("balancing the forces along the motion", 0.1)
     warnings = check_records(records, axis, along_motion=True)
     for other in (*records[1:], *(() if holdout is None else (holdout,))):
@@ -371,11 +362,11 @@ def diagnose_along_motion(
     if axis.effects:
         dropped = ", ".join(entry.effect.name for entry in axis.effects)
         warnings.append(f"the axis's own effects are left out and looked for again: {dropped}")
-    parts, kept, confirming = _parts(records, holdout, *windows)
+    parts, kept, confirming = _parts(records, holdout, request.fit_time, request.confirm_time)
     fitted = parts[0] if len(parts) == 1 else joined(parts, axis.units.rotary)
     balance = Balance.of(fitted, known)
     factors = sizes(fitted.q, fitted.u, fitted.period, axis.drive.gain)
-    effects = {effect.name: sized(effect, factors) for effect in library if effect.acts_on(axis.motion)}
+    effects = {effect.name: sized(effect, factors) for effect in request.library or () if effect.acts_on(axis.motion)}
     baseline = balance.fitted()
     progress("asking the strokes that take no part", 0.4)
     terms = terms_of(axis, effects)
@@ -412,7 +403,7 @@ def diagnose_along_motion(
         tuple(dict.fromkeys([*warnings, *remarks, *_of_records(records)])),
     )
     diagnosis = answer(outcome, axis)
-    searched(diagnosis.axis)
+    request.keep(diagnosis.axis)
     return diagnosis
 
 

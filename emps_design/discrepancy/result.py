@@ -12,11 +12,12 @@ from emps_design.discrepancy.closest import Closest
 from emps_design.discrepancy.experiment import NextExperiment
 from emps_design.discrepancy.gap import Gap, Prediction
 from emps_design.discrepancy.noise_floor import Floor
-from emps_design.discrepancy.residual_views import EVERYWHERE, View
+from emps_design.discrepancy.residual_views import EVERYWHERE, View as ResidualView
 from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
+from emps_design.discrepancy.view import diagnosis_view
 from emps_design.frequency_response.coupling import ResponseComparison
-from emps_design.notebook import table
 from emps_design.quantities import display_unit, inside, rounded
+from emps_design.view import View, Viewed
 
 SCHEMA = "emps-design/diagnosis/1"
 MOST_IN_FULL = 2  # findings with all their parameters in the sentence
@@ -90,7 +91,7 @@ def in_unit(value: float, std: float, unit: str) -> str:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Viewed):
     """The answer of :func:`emps_design.discrepancy.diagnose`.
 
     ``trace`` is the force over time of the record that confirms, or of the training record; ``response`` the frequency
@@ -105,7 +106,7 @@ class Diagnosis:
     train: Gap
     holdout: Gap | None
     trace: Prediction
-    views: tuple[View, ...]
+    views: tuple[ResidualView, ...]
     details: Mapping[str, Any] = field(default_factory=dict)
     experiment: NextExperiment | None = None
     response: ResponseComparison | None = None
@@ -216,7 +217,6 @@ class Diagnosis:
         written = None if self.experiment is None else self.experiment.written()
         return replace(self, model_file=model_file, experiment=written)
 
-    def _repr_html_(self) -> str:
-        rows = [(f.label, f.where["text"], f.gap_before, f.gap_after) for f in self.findings]
-        heads = ("effect", "where", "gap before [N]", "gap after [N]")
-        return self.axis.units.text(table(f"{self.verdict}: {self.sentence}", rows, heads if rows else ()))
+    def view(self) -> View:
+        """The answer, its findings, and what to do next."""
+        return diagnosis_view(self.to_dict(), self.axis.units)

@@ -3,6 +3,7 @@
 import html.parser
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.cli import app
+from emps_design.commands.diagnose import DiagnoseRequest
 from emps_design.errors import AxisError
 from emps_design.machines import machine
 from emps_design.simulation.synthetic import synthetic_record
@@ -77,10 +79,8 @@ def test_the_diagnosis(capsys, folder):
 
 def test_the_head_of_a_model_is_one_comment(tmp_path, capsys, folder):
     """A line break in the name of the axis file would end the comment in which it stands."""
-    from emps_design.cli.diagnose import command  # noqa: F401  (its module is the one that is read)
-
-    source = (PACKAGE / "cli" / "diagnose.py").read_text()
-    assert "# {one_line(axis)}" in source
+    request = DiagnoseRequest((synthetic_record(machine("emps2019"), laps=1),), machine("emps2019"))
+    assert replace(request, sources={"axis": "two\nlines.toml"}).axis_name == "two lines.toml"
 
 
 def test_text_on_the_terminal(capsys, folder):

@@ -21,7 +21,8 @@ def test_killed_at_any_moment(name, tmp_path):
 
 def test_an_error_that_an_interrupt_ends_in_is_that_interrupt(monkeypatch, capsys):
     """Compiled code that is interrupted raises an error of its own: matplotlib's path transforms a TypeError."""
-    from emps_design.cli import app, interrupts
+    from emps_design import interrupts
+    from emps_design.cli import app
 
     def interrupted(arguments):
         interrupts.interrupted.set()
@@ -36,7 +37,8 @@ def test_an_error_that_an_interrupt_ends_in_is_that_interrupt(monkeypatch, capsy
 DEAF = """
 import os, signal, time
 from ctypes import CFUNCTYPE
-from emps_design.cli import app, interrupts
+from emps_design import interrupts
+from emps_design.cli import app
 interrupts.GRACE = 0.1
 interrupts.install_handlers()
 CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM))()
@@ -53,7 +55,7 @@ def test_an_interrupt_in_a_callback_of_compiled_code_is_heard_and_shows_no_trace
 INTO_AN_IMPORT = """
 import signal, sys
 import numpy
-from emps_design.cli import interrupts
+from emps_design import interrupts
 interrupts.install_handlers()
 
 class Kills:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from emps_design.cli.interrupts import PartialDiagnosis
+from emps_design.commands.diagnose import PartialDiagnosis
 
 
 @pytest.mark.parametrize("out", ["found", ".", "../work", "work/.."])

@@ -288,7 +288,7 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
     axis = AXIS.replace(effects=[{"kind": "elastic_force", "stiffness": 500.0, "rest_position": 0.1}])
     run = Plant.of(axis).closed_loop(q_ref, voltage_noise=4e-3 * np.random.default_rng(1).standard_normal(t.size))
     record = Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name="free")
-    module = sys.modules["emps_design.discrepancy.diagnose"]
+    module = sys.modules["emps_design.discrepancy.diagnosis"]
     searched, calls = module.search_or_kind, []
 
     def interrupted(*arguments):

@@ -264,7 +264,7 @@ def says_what_the_rest_is_like(answer, verdict):
 @pytest.fixture(scope="module")
 def stopped():
     """A search that an inertia along the travel ended, nothing else being hidden."""
-    module, found = sys.modules["emps_design.discrepancy.diagnose"], []
+    module, found = sys.modules["emps_design.discrepancy.diagnosis"], []
 
     class Searched(Exception):
         pass
@@ -314,7 +314,7 @@ def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(mo
 
 @pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
-    module = sys.modules["emps_design.discrepancy.diagnose"]
+    module = sys.modules["emps_design.discrepancy.diagnosis"]
     stopped, gone_on = [], []
     monkeypatch.setattr(rules, "PLAIN", 1e9)  # never plain: the search must go on, once
     monkeypatch.setattr(rules, "FINER", 10.0)  # so that there are three searches

@@ -11,7 +11,7 @@ from emps_design.discrepancy.acceptance import Judge
 from emps_design.discrepancy.beam_search import UNFINISHED
 from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import Share, _size_known, effect_shares, standing
-from emps_design.discrepancy.diagnose import NOT_REPEATED, _finer, _repeated
+from emps_design.discrepancy.diagnosis import NOT_REPEATED, _finer, _repeated
 from emps_design.discrepancy.fit import evaluate, fit
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import LAPS, Whitening, floor_of_laps, floor_of_residual, rms_interval
@@ -256,7 +256,7 @@ def test_an_interrupt_of_a_later_search_says_what_was_left_undone(monkeypatch, i
     def interrupted(*arguments):
         raise KeyboardInterrupt
 
-    module = sys.modules["emps_design.discrepancy.diagnose"]
+    module = sys.modules["emps_design.discrepancy.diagnosis"]
     monkeypatch.setattr(module, "_finer", lambda outcome: "finer")
     monkeypatch.setattr(module, "calibrate", interrupted)
     calibration = SimpleNamespace(healthy=SimpleNamespace(searched=1), preparation=None, baseline=None)

@@ -8,11 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emps_design.cli.diagnose import _show, _window
+from emps_design.cli.output import print_view
+from emps_design.commands.diagnose import _written
+from emps_design.discrepancy.request import interval_from_text
+from emps_design.discrepancy.view import diagnosis_view
 from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.report.diagnosis import VERDICTS, axis_before, design_change, diagnosis_page
 from emps_design.report.diagnosis_sections import answer_points, before_after_figure, in_plain_words
+from emps_design.units import Units
 
 
 @dataclass
@@ -238,7 +242,7 @@ def test_the_terminal_says_what_was_found_what_to_record_and_what_was_written(ca
     shown["closest"] = closest(shown)
     finding = shown["findings"][0]
     finding["confirmed"] = None
-    _show(shown, Path("found"))
+    print_view((*diagnosis_view(shown, Units()), *_written(shown, Path("found"))))
     text = " ".join(capsys.readouterr().out.split())
     assert text.startswith("named Below 9 mm/s")
     for words in (
@@ -250,7 +254,7 @@ def test_the_terminal_says_what_was_found_what_to_record_and_what_was_written(ca
         assert words in text
     finding["confirmed"] = {"share": 1.02, "std": 0.05}
     shown["experiment"] = None
-    _show(shown, None)
+    print_view(diagnosis_view(shown, Units()))
     text = " ".join(capsys.readouterr().out.split())
     assert "confirmed" in text
     assert "Written" not in text
@@ -263,8 +267,8 @@ def test_the_terminal_says_what_was_found_what_to_record_and_what_was_written(ca
 )
 def test_an_interval_that_is_none_is_refused(text, message):
     with pytest.raises(InputError, match=message):
-        _window(text, "--fit-time")
-    assert _window("0:4.5", "--fit-time") == (0.0, 4.5)
+        interval_from_text(text)
+    assert interval_from_text("0:4.5") == (0.0, 4.5)
 
 
 def test_what_lost_does_not_come_before_the_answer(sketched):

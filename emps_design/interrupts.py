@@ -2,8 +2,6 @@
 
 Python handles a signal between two of its own instructions; compiled code and linear algebra may take minutes to the
 next one. A second thread therefore waits for signals as well, and ends the process if it does not unwind in time.
-
-An interrupted ``diagnose`` leaves the folder of ``--out`` as it was and writes what it knew beside it.
 """
 
 from __future__ import annotations
@@ -15,17 +13,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
-from emps_design.cli.output import json_text, tell
-from emps_design.errors import EmpsError
-from emps_design.files import discard_unfinished, write_text, write_together
-from emps_design.progress import Progress
-
-if TYPE_CHECKING:
-    from emps_design.axis import Axis
+from emps_design.errors import one_line
+from emps_design.files import discard_unfinished
 
 STATUS = 130
 GRACE = 1.5  # s, for the work to unwind by itself
@@ -34,8 +26,6 @@ ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")
 interrupted = threading.Event()  # set by the first signal
 _final_actions: list[Callable[[], None]] = []
 _end_lock = threading.Lock()
-
-SCHEMA = "emps-design/partial-diagnosis/1"
 
 
 def install_handlers() -> None:
@@ -51,13 +41,13 @@ def install_handlers() -> None:
 
 
 @contextmanager
-def on_interrupt(action: Callable[[], None]) -> Iterator[None]:
-    """Run ``action`` once if the block is interrupted, whether the block unwinds or not."""
+def on_interrupt(action: Callable[[], str]) -> Iterator[None]:
+    """Run ``action`` once if the block is interrupted, whether the block unwinds or not, and print what it returns."""
     done = threading.Lock()
 
     def once() -> None:
         if done.acquire(blocking=False):
-            action()
+            _tell(action())
 
     _final_actions.append(once)
     try:
@@ -106,62 +96,11 @@ def _wait(read_end: int) -> None:
     while not set(ENDING) & set(os.read(read_end, 64)):
         continue
     time.sleep(GRACE)
-    tell("interrupted")
+    _tell("interrupted")
     end()
 
 
-class PartialDiagnosis:
-    """State of a running diagnosis for the folder ``out``; :meth:`write` saves it in the folder ``out.partial``."""
-
-    def __init__(self, out: Path | None):
-        named = out is None or out.name not in ("", "..")
-        self.folder = None if out is None else Path(f"{out if named else os.path.abspath(out)}.partial")
-        self.stage, self.share = "reading", 0.0
-        self.axis: Axis | None = None
-
-    def track(self, bar: Progress) -> Progress:
-        """Return a progress callback that updates ``bar`` and this state, and raises after an interrupt.
-
-        Without the raise the search would swallow the interrupt and conclude from what it has.
-        """
-
-        def progress(stage: str, share: float) -> None:
-            self.stage, self.share = stage, share
-            bar(stage, share)
-            self._stop()
-
-        return progress
-
-    def keep_model(self, axis: Axis) -> None:
-        """Keep the model that the search ended with."""
-        self.axis = axis
-        self._stop()
-
-    def write(self) -> None:
-        """Write the state and print the folder."""
-        if self.folder is None:
-            return
-        document = {
-            "schema": SCHEMA,
-            "interrupted": True,
-            "stage": self.stage,
-            "share": self.share,
-            "effects": [] if self.axis is None else [effect.kind for effect in self.axis.effects],
-            "model_file": None if self.axis is None else "model.toml",
-            "text": "The diagnosis was interrupted here; nothing of this was confirmed, and more may be missing.",
-        }
-        try:
-            self.folder.mkdir(exist_ok=True)
-            with write_together(self.folder) as aside:
-                write_text(aside / "partial.json", f"{json_text(document)}\n")
-                if self.axis is not None:
-                    head = f"# from a diagnosis that was interrupted: {self.stage}\n"
-                    write_text(aside / "model.toml", head + self.axis.to_toml())
-        except (EmpsError, OSError) as error:
-            tell(f"what was known by then could not be written: {error}")
-        else:
-            tell(f"what was known by then is in {self.folder}")
-
-    def _stop(self) -> None:
-        if interrupted.is_set():
-            raise KeyboardInterrupt
+def _tell(text: str) -> None:
+    """Print ``text``, if any, as one line of this program on standard error."""
+    if text:
+        print(f"emps-design: {one_line(text)}", file=sys.stderr)

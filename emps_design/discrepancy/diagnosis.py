@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from emps_design.axis import Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.along_motion import diagnose_along_motion, too_slow
 from emps_design.discrepancy.beam_search import UNFINISHED, past_the_kind, search_or_kind
@@ -15,14 +13,16 @@ from emps_design.discrepancy.explanation import explain
 from emps_design.discrepancy.long_records import beginnings, check_the_rest
 from emps_design.discrepancy.noise_floor import LEFT, Floor, floor_of_laps, floor_of_residual
 from emps_design.discrepancy.preparation import Confirming, Preparation, prepare
+from emps_design.discrepancy.request import DiagnosisRequest
 from emps_design.discrepancy.result import Diagnosis
 from emps_design.discrepancy.starts import at_first_sight, suspects_text
 from emps_design.discrepancy.verdict import Validation, validate
-from emps_design.effects import Effect, known_effects
+from emps_design.effects import known_effects
 from emps_design.errors import EmpsError, RecordError, SimulationError
 from emps_design.laws import NONE
-from emps_design.progress import Progress, no_progress, of_part
+from emps_design.progress import Progress, of_part
 from emps_design.records import Record
+from emps_design.request import takes
 
 SEARCHES = (
     (0.0, 0.6),
@@ -34,82 +34,54 @@ NOT_REPEATED = "interrupted: the search was not repeated on the noise that its m
 STILL_FINER = "the model leaves less than the noise it was judged by: more may be there than was found"
 
 
-def diagnose(
-    records: Record | Sequence[Record],
-    axis: Axis,
-    holdout: Record | None = None,
-    fit_time: tuple[float, float] | None = None,
-    confirm_time: tuple[float, float] | None = None,
-    library: Sequence[Effect] | None = None,
-    seed: int = 0,
-    searches: int = 0,
-    progress: Progress | None = None,
-    searched: Callable[[Axis], None] | None = None,
-    closest: bool = False,
-) -> Diagnosis:
-    """Find where the closed-loop simulation of ``axis`` and ``records`` disagree, and which effect is missing.
+@takes(DiagnosisRequest)
+def diagnose(request: DiagnosisRequest) -> Diagnosis:
+    """Find where the closed-loop simulation of the axis and records disagree, and which effect is missing.
 
-    ``records`` of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first
-    record, is opened once, at the end. Without either it is the first lap, or the last third, of a single record, where
-    enough is left to fit. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known
-    effect; its starts and bounds are scaled to the axis. ``searches`` healthy records are simulated and searched like
-    this one, for the gain that chance alone reaches; 0 linearises that. ``progress(stage, share)`` reports progress,
-    ``searched(axis)`` the model at the end of each search, before it is confirmed. Of records too long to be searched
-    whole only the beginning is searched, and a warning says what its model leaves of the rest. With ``closest`` the
-    answer also has the model that follows the records most closely, whatever its effects mean. Raises
-    :class:`InputError` for records that cannot be judged, and where the controller of ``axis`` did not make them.
+    Records of one axis are explained together; ``holdout``, or ``confirm_time`` (start, stop) [s] of the first record,
+    is opened once, at the end. Without either it is the first lap, or the last third, of a single record, where enough
+    is left to fit. ``fit_time`` [s] limits what is fitted. ``library`` defaults to every known effect; its starts and
+    bounds are scaled to the axis. ``searches`` healthy records are simulated and searched like this one, for the gain
+    that chance alone reaches; 0 linearises that. ``progress(stage, share)`` reports progress, ``searched(axis)`` the
+    model at the end of each search, before it is confirmed. Of records too long to be searched whole only the beginning
+    is searched, and a warning says what its model leaves of the rest. With ``closest`` the answer also has the model
+    that follows the records most closely, whatever its effects mean. Raises :class:`InputError` for records that cannot
+    be judged, and where the controller of ``axis`` did not make them.
     """
     from threadpoolctl import threadpool_limits
 
-    report, report_model = _forward(progress or no_progress), searched or (lambda model: None)
-    records = (records,) if isinstance(records, Record) else tuple(records)
-    library = tuple(known_effects().values() if library is None else library)
-
-    def along_motion() -> Diagnosis:
-        return diagnose_along_motion(records, axis, library, holdout, (fit_time, confirm_time), report, report_model)
-
+    request = _complete(request)
     # The matrices here are tall and thin: BLAS threads would only spin, and the fits run side by side already.
     with threadpool_limits(1):
-        if too_slow(records):
-            return along_motion()
+        if too_slow(request.records):
+            return diagnose_along_motion(request)
         try:
-            request = DiagnosisRequest(records, axis, library, holdout, fit_time, confirm_time)
-            return _by_simulation(request, seed, searches, report, report_model, closest)
+            return _by_simulation(request)
         except (SimulationError, RecordError) as error:
-            if axis.controller.kind != NONE:
+            if request.axis.controller.kind != NONE:
                 raise
             try:
-                return along_motion()
+                return diagnose_along_motion(request)
             except EmpsError:
                 raise error from None
 
 
-@dataclass(frozen=True)
-class DiagnosisRequest:
-    """The data that :func:`diagnose` is to judge: records, axis, library, and the windows in time."""
-
-    records: tuple[Record, ...]
-    axis: Axis
-    library: tuple[Effect, ...]
-    holdout: Record | None
-    fit_time: tuple[float, float] | None
-    confirm_time: tuple[float, float] | None
-
-    def prepared(self, parts: tuple[Record, ...], opened: Confirming | None = None) -> Preparation:
-        """The first stage on ``parts`` of the records; with ``opened`` all is fitted and nothing held out."""
-        confirms = (self.holdout, self.fit_time, self.confirm_time) if opened is None else (None, self.fit_time, None)
-        return prepare(parts, self.axis, self.library, *confirms, opened)
+def _complete(request: DiagnosisRequest) -> DiagnosisRequest:
+    """``request`` with a library, and progress that never decreases."""
+    library = known_effects().values() if request.library is None else request.library
+    return replace(request, library=tuple(library), progress=_forward(request.progress))
 
 
-def _by_simulation(
-    request: DiagnosisRequest,
-    seed: int,
-    searches: int,
-    report: Progress,
-    report_model: Callable[[Axis], None],
-    closest: bool,
-) -> Diagnosis:
+def _prepared(request: DiagnosisRequest, parts: tuple[Record, ...], opened: Confirming | None = None) -> Preparation:
+    """The first stage on ``parts`` of the records; with ``opened`` all is fitted and nothing held out."""
+    windows = (request.holdout, request.fit_time, request.confirm_time)
+    confirms = windows if opened is None else (None, request.fit_time, None)
+    return prepare(parts, request.axis, tuple(request.library or ()), *confirms, opened)
+
+
+def _by_simulation(request: DiagnosisRequest) -> Diagnosis:
     """Diagnose by closed-loop simulations of the records."""
+    report, seed, searches = request.progress, request.seed, request.searches
     report("checking the records and the controller's law", 0.02)
     parts = beginnings(request.records, request.fit_time, request.confirm_time)
     searching = of_part(report, 0.1, 0.8)
@@ -120,22 +92,22 @@ def _by_simulation(
         rough, floor = first_noise(preparation)
         part = of_part(searching, *SEARCHES[0])
         outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
-        report_model(outcome.best.model.to_axis(request.axis))
+        request.keep(outcome.best.model.to_axis(request.axis))
         outcome = _repeated(outcome, seed, searches, searching)
-        report_model(outcome.best.model.to_axis(request.axis))
+        request.keep(outcome.best.model.to_axis(request.axis))
         report("confirming on data not used so far", 0.9)
         return validate(outcome, of_part(searching, *CONFIRMATION))
 
-    preparation = request.prepared(parts)
+    preparation = _prepared(request, parts)
     validation = validated(preparation)
     if preparation.confirming.chosen == "kept" and _differs_there(validation):
-        whole = validated(request.prepared(parts, preparation.confirming.opened))
+        whole = validated(_prepared(request, parts, preparation.confirming.opened))
         if whole.extended.model.names:
             preparation, validation = whole.outcome.calibration.preparation, whole
     rest, more = check_the_rest(request.records, parts, preparation.laws, validation.extended)
-    if closest:
+    if request.closest:
         report("looking for the model that follows most closely", 0.95)
-    following = closest_of(validation) if closest else None
+    following = closest_of(validation) if request.closest else None
     return explain(validation.beside_something_unknown() if more else validation, rest, following)
 
 

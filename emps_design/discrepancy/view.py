@@ -1,0 +1,52 @@
+"""What a diagnosis shows: the answer in one sentence, its findings, and what to do next."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from emps_design.quantities import rounded, share_asked
+from emps_design.units import Units
+from emps_design.view import Line, Table, View
+
+
+def diagnosis_view(document: dict[str, Any], units: Units) -> View:
+    """What the ``document`` of a diagnosis shows, in ``units``."""
+    after = [
+        f"{words}: {entry['text']}"
+        for words, entry in (
+            ("Next experiment", document.get("experiment")),
+            ("Closest model", document.get("closest")),
+        )
+        if entry
+    ]
+    after += [f"Remedy: {remedy}" for remedy in document["remedies"]]
+    return (
+        Line(document["verdict"], "strong"),
+        Line(units.text(document["sentence"])),
+        *([_findings(document["findings"], units)] if document["findings"] else []),
+        *(Line(units.text(text)) for text in after),
+    )
+
+
+def _findings(findings: list[dict[str, Any]], units: Units) -> Table:
+    """A row per effect; the last column is the share that the confirming data ask for, or the chance without any."""
+    confirmed = any(finding["confirmed"] for finding in findings)
+    force = units.unit("N")
+    headings = ("effect", "or", "where", f"gap [{force}]", f"after [{force}]", "confirmed" if confirmed else "p")
+    rows = [
+        (
+            units.text(finding["label"]),
+            ", ".join(finding["equivalents"]) or None,
+            units.text(finding["where"]["text"]),
+            rounded(finding["gap_before"], 3),
+            rounded(finding["gap_after"], 3),
+            _share(finding["confirmed"]) if confirmed else f"{finding['p_value']:.3f}",
+        )
+        for finding in findings
+    ]
+    return Table(headings, rows, words=("or", "where"))
+
+
+def _share(confirmed: dict[str, float] | None) -> str | None:
+    """The share of an effect that the held-out record confirms, with its deviation; None without one."""
+    return share_asked(confirmed["share"], confirmed["std"]) if confirmed else None
