@@ -70,8 +70,8 @@ class Request:
     """Base of every request.
 
     ``given`` are the names of the fields that the user set, ``sources`` the names and paths that values were read from;
-    ``progress`` gets the stage and the share done; with ``overwrite`` files that hold something else are overwritten. Other
-    fields that are no options are for Python alone.
+    ``progress`` gets the stage and the share done; with ``overwrite`` files that hold something else may be replaced.
+    Other fields that are no options are for Python alone.
 
     >>> @dataclass(frozen=True)
     ... class Push(Request):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from emps_design.commands import Reply
 from emps_design.request import Request, option
