@@ -19,7 +19,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant, law_peaks, sample_axis
-from emps_design.control.margins import Margins, further_down, loop_margins
+from emps_design.control.margins import Margins, Row, further_down, loop_margins
 from emps_design.control.nested_loops import (
     PLANT_INPUT,
     POSITION_ERROR,
@@ -36,7 +36,7 @@ from emps_design.control.sampled import MARGINAL, SampledLoop, close, transfer
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.load_range import LoadRange, relative_mismatch
 from emps_design.control.verdict import Case, cases_of
-from emps_design.control.view import Row, number, worst_in_words
+from emps_design.control.view import number, worst_in_words
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
 from emps_design.view import Line, Table, View, Viewed

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.control.view import margins_view
-from emps_design.view import View, Viewed
+from emps_design.view import Table, View, Viewed
 
 KEYS = (
     "phase_margin_deg",
@@ -29,6 +28,20 @@ KEYS = (
 )
 # Signals of a loop broken at the plant input, as python-control names them.
 LOOP_NAMES: dict[str, Any] = {"inputs": ["plant_input"], "outputs": ["command"], "name": "loop_gain"}
+HERTZ = 2.0 * math.pi  # rad/s
+# label, key, unit and factor of a row of margins
+Row = tuple[str, str, str, float]
+MARGINS: tuple[Row, ...] = (
+    ("phase margin", "phase_margin_deg", "deg", 1.0),
+    ("crossover", "crossover", "rad/s", 1.0),
+    ("", "crossover", "Hz", 1.0 / HERTZ),
+    ("delay margin", "delay_margin", "ms", 1e3),
+    ("", "delay_margin_samples", "samples", 1.0),
+    ("gain margin", "gain_margin", "ratio", 1.0),
+    ("", "gain_margin_db", "dB", 1.0),
+    ("least stable gain", "gain_reduction_margin", "ratio", 1.0),
+    ("disk margin", "disk_margin", "", 1.0),
+)
 LOWEST = "lowest_crossover"  # rad/s, key in arrays: first crossover, wherever the least phase margin is
 AT_REST = 1e-3  # ratio of imaginary to real part below which a loop below 0 dB at the lowest frequency counts as real
 ROUNDING = 1e-6  # rad, rounding of the lag of a loop at the limit of stability
@@ -78,8 +91,15 @@ class Margins(Viewed):
         return document
 
     def view(self) -> View:
-        """The margins with their units."""
-        return margins_view(self.to_dict())
+        """Whether the loop is stable, and its margins."""
+        document = self.to_dict()
+        rows = [
+            (label, None if document[key] is None else scale * document[key], unit)
+            for label, key, unit, scale in MARGINS
+            if key in document and (key != "gain_reduction_margin" or document[key] is not None)
+        ]
+        title, missing = ("stable", "unbounded") if self.stable else ("UNSTABLE", "undefined")
+        return (Table(("", "value", "unit"), rows, title, missing=missing),)
 
 
 def margin_arrays(

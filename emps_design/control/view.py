@@ -6,28 +6,13 @@ responses with their 95 % bands, and the force loop around it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from emps_design.control.margins import HERTZ, MARGINS, Row
 from emps_design.units import Units
 from emps_design.view import Cell, Line, Table, View
 
-HERTZ = 2.0 * math.pi
-
-# label, key, unit and factor of a row of margins
-Row = tuple[str, str, str, float]
-MARGINS: tuple[Row, ...] = (
-    ("phase margin", "phase_margin_deg", "deg", 1.0),
-    ("crossover", "crossover", "rad/s", 1.0),
-    ("", "crossover", "Hz", 1.0 / HERTZ),
-    ("delay margin", "delay_margin", "ms", 1e3),
-    ("", "delay_margin_samples", "samples", 1.0),
-    ("gain margin", "gain_margin", "ratio", 1.0),
-    ("", "gain_margin_db", "dB", 1.0),
-    ("least stable gain", "gain_reduction_margin", "ratio", 1.0),
-    ("disk margin", "disk_margin", "", 1.0),
-)
 MEASURED: tuple[Row, ...] = (
     ("phase margin", "phase_margin_deg", "deg", 1.0),
     ("crossover", "crossover", "rad/s", 1.0),
@@ -73,6 +58,16 @@ def gains_view(document: dict[str, Any], units: Units) -> View:
         *(_kept_loops(document["kept_position_loop"]["loops"]) if "kept_position_loop" in document else ()),
         *(_load_range(document["load_range"], units) if "load_range" in document else ()),
         *_on_measured_plants(document.get("measured")),
+    )
+
+
+def velocity_loop_view(document: dict[str, Any], units: Units) -> View:
+    """What the document of a velocity loop alone shows: whether it is stable, gains and margins."""
+    return (
+        verdict_line(document["sampled"]["stable"], what_is_judged(document)),
+        _gains(document, units),
+        _margins(document),
+        *warning_lines(document["warnings"], units),
     )
 
 
@@ -450,14 +445,3 @@ def _in_one_line(margins: dict[str, Any]) -> str:
     phase, crossover = number(margins["phase_margin_deg"]), margins["crossover"]
     at = f"phase {phase}: no crossover" if crossover is None else f"phase {phase} deg at {number(crossover)} rad/s"
     return f"gain {number(margins['gain_margin'])}, {at}"
-
-
-def margins_view(margins: dict[str, Any]) -> View:
-    """What the margins of one loop show."""
-    missing = "unbounded" if margins["stable"] else "undefined"
-    rows = [
-        (label, _scaled(margins[key], scale, missing), unit)
-        for label, key, unit, scale in MARGINS
-        if key in margins and (key != "gain_reduction_margin" or margins[key] is not None)
-    ]
-    return (Table(("", "value", "unit"), rows, "stable" if margins["stable"] else "UNSTABLE"),)

@@ -55,6 +55,7 @@ from emps_design.laws import law_of
 from emps_design.laws.estimators import estimator_response
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import LinearLaw, linear_law
+from emps_design.request import Request, option, takes
 
 MOST = 32  # samples after which a law repeats
 TURNS = 40
@@ -463,23 +464,29 @@ class _Estimated:
         return self.period / (1.0 - np.exp(-1j * np.asarray(w) * self.period))
 
 
-def retune_on_response(
-    response: FrequencyResponse,
-    axis: Axis,
-    crossover: float,
-    phase_margin_deg: float = 60.0,
-    at: str = PLACES[0],
-    velocity: float = 0.1,
-    structure: Structure | str | None = None,
-    filters: Sequence[Filter | str] | None = None,
-    limits: Mapping[str, float] | None = None,
-) -> VelocityLoopDesign:
+@dataclass(frozen=True)
+class RetuneRequest(Request):
+    """What :func:`retune_on_response` takes beside response and axis."""
+
+    crossover: float = option(..., "crossover of the loop on the measured plant [rad/s]")
+    phase_margin_deg: float = option(60.0, "its phase margin [deg]")
+    at: str = option(PLACES[0], "where the loop is broken", choices=PLACES)
+    velocity: float = option(0.1, "where the effects of the axis are linearised [m/s]")
+    structure: Structure | str | None = option(None, "what the gains act on, None: as in the axis's controller")
+    filters: Sequence[Filter | str] | None = option(
+        None, "at the output of the law, None: those of the axis's controller"
+    )
+    limits: Mapping[str, float] | None = option(
+        None, "upper limits of sensitivity_peak_below and sensitivity_peak_above the first antiresonance [ratio]"
+    )
+
+
+@takes(RetuneRequest)
+def retune_on_response(response: FrequencyResponse, axis: Axis, request: RetuneRequest) -> VelocityLoopDesign:
     """Return the design whose loop on the measured plant has ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
 
-    ``at`` is where the loop is broken; ``limits`` are upper limits of the ratios ``sensitivity_peak_below`` and
-    ``sensitivity_peak_above`` the first antiresonance. Raises :class:`SpecificationError` where the gains would not be
-    positive, another crossing has less phase margin, the loop is unstable or a limit is exceeded; it has the nearest
-    slower crossover that works.
+    Raises :class:`SpecificationError` where the gains would not be positive, another crossing has less phase margin,
+    the loop is unstable or a limit is exceeded; it has the nearest slower crossover that works.
 
     >>> from emps_design.machines import machine
     >>> f = np.geomspace(1.0, 300.0, 200)
@@ -489,8 +496,8 @@ def retune_on_response(
     >>> round(measured_margins(mass, run).values["phase_margin_deg"], 2)
     50.0
     """
-    if at not in PLACES:
-        raise InputError(f"place of the margin: found {at!r}, expected one of {', '.join(PLACES)}")
+    crossover, phase_margin_deg, at = request.crossover, request.phase_margin_deg, request.at
+    velocity, limits = request.velocity, request.limits or {}
     requested = check_specification(crossover, None, phase_margin_deg)
     low, high = float(response.w[0]), float(response.w[-1])
     if not low < crossover < high:
@@ -498,7 +505,7 @@ def retune_on_response(
             f"{response.name}: found a crossover of {crossover:g} rad/s, expected one within the data, {low:.4g} to "
             f"{high:.4g} rad/s"
         )
-    structure, filters = own_structure(axis, structure), own_filters(axis, filters)
+    structure, filters = own_structure(axis, request.structure), own_filters(axis, request.filters)
     plant: Any = _Estimated(MeasuredPlant.of(response, axis), axis.controller.velocity_estimator, filters)
     place = structure.place(at)
 
@@ -513,7 +520,7 @@ def retune_on_response(
         margins = measured_margins(response, design.loop_axis, draws=0)
         if not margins.stable:
             return design, "the loop would be unstable"
-        lacks, phase = over_limits(margins.values, limits or {}), margins.values["phase_margin_deg"]
+        lacks, phase = over_limits(margins.values, limits), margins.values["phase_margin_deg"]
         if place == PLACES[0] and (phase is None or abs(phase / phase_margin_deg - 1.0) >= MET):
             lacks.append("another crossing has less phase margin")
         return design, " and ".join(lacks)
@@ -527,7 +534,7 @@ def retune_on_response(
     raise SpecificationError(
         f"retune on {response.name}: no gains give {phase_margin_deg:g} deg at a crossover of {crossover:g} rad/s; "
         f"{lacks}; {words}",
-        {} if nearest is None else {"crossover": nearest, "phase_margin_deg": phase_margin_deg, **(limits or {})},
+        {} if nearest is None else {"crossover": nearest, "phase_margin_deg": phase_margin_deg, **limits},
     )
 
 

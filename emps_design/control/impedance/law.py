@@ -231,12 +231,7 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
     """
     law.check_period(period)
     delay = axis.sampling.computation_delay
-    gains = gains_of(
-        law.estimate, law.mass, law.damping, law.filters, period, law.velocity_estimator, stiffness=law.stiffness,
-        coulomb_factor=law.coulomb_factor, current_factor=law.current_factor, force_sensor=law.force_sensor,
-        force_gain=axis.drive.gain, current_time_constant=axis.drive.current_time_constant, delay=delay,
-        reference_velocity=law.reference_velocity,
-    )  # fmt: skip
+    gains = gains_of(law, period, axis.drive.gain, axis.drive.current_time_constant, delay)
     return law_with(np.stack(np.broadcast_arrays(*gains), axis=-1).astype(float), delay)
 
 

@@ -35,7 +35,7 @@ from emps_design.control.linear_plant import FREE, Environment, attached, felt, 
 from emps_design.control.sampled import MARGINAL, SampledLoop, close, sorted_poles
 from emps_design.laws import TWO_TAP, Law
 from emps_design.laws.estimators import estimator_response
-from emps_design.laws.library.impedance import COULOMB_POSITIVE, gains_of, law_with
+from emps_design.laws.library.impedance import COULOMB_POSITIVE, Parameters, gains_of, law_with
 from emps_design.laws.linear import linear_law, own_poles
 from emps_design.stretches import stretches
 
@@ -163,12 +163,17 @@ def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: Any = 
 
 def _law(n: dict[str, Any], clock: Clock, velocity_estimator: Any, force_sensor: bool, force_gain: float = 1.0) -> Law:
     friction = SimpleNamespace(mass=n["mass_hat"], viscous=(n["viscous_hat"],) * 2, coulomb=(0.0, 0.0))
-    gains = gains_of(
-        friction, n["apparent_mass"], n["damping"], (n["filter"], n["current_filter"]), clock.period,
-        velocity_estimator, stiffness=n["stiffness"], current_factor=n["current_factor"],
-        force_sensor=force_sensor, force_gain=force_gain, current_time_constant=clock.current_time_constant,
-        delay=clock.delay,
-    )  # fmt: skip
+    law = Parameters(
+        n["apparent_mass"],
+        n["damping"],
+        friction,
+        (n["filter"], n["current_filter"]),
+        velocity_estimator,
+        n["stiffness"],
+        current_factor=n["current_factor"],
+        force_sensor=force_sensor,
+    )
+    gains = gains_of(law, clock.period, force_gain, clock.current_time_constant, clock.delay)
     return law_with(gains, clock.delay)
 
 

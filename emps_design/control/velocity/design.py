@@ -48,7 +48,7 @@ from emps_design.control.velocity.specification import (
     proposal_in_words,
     room_in_words,
 )
-from emps_design.control.view import gains_view
+from emps_design.control.view import velocity_loop_view
 from emps_design.laws import LawKind
 from emps_design.laws.estimators import estimator_response, polynomials
 from emps_design.laws.library import cascade
@@ -461,10 +461,8 @@ class VelocityLoopDesign(Viewed):
         }
 
     def view(self) -> View:
-        """What ``gains`` shows of it."""
-        from emps_design.control.velocity.comparison import gains_document
-
-        return gains_view(gains_document(self), self.axis.units)
+        """What ``gains`` shows of the loop itself."""
+        return velocity_loop_view(self.to_dict(), self.axis.units)
 
 
 def design_velocity_loop(

@@ -14,6 +14,8 @@ the axis follows is q_0, of use only with a stiffness. Source: section IV of the
 """
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -106,21 +108,35 @@ def impedance(k, reference, q, f_ext, limit, gains, memory):
     return u
 
 
-def gains_of(
-    estimate, mass, damping, filters, period, velocity_estimator=TWO_TAP, *, stiffness=0.0, coulomb_factor=1.0,
-    current_factor=1.0, force_sensor=False, force_gain=1.0, current_time_constant=0.0, delay=0, reference_velocity=0.0,
-):  # fmt: skip
-    """Gains of the kernel: ``estimate`` as a :class:`FrictionModel`, M_a, B, both low-passes [rad/s], the drive.
+@dataclass(frozen=True)
+class Parameters:
+    """M_a, B, the estimate, both low-passes [rad/s] and the options of the law; for units see the module.
 
-    Any number may be an array (m,) for as many laws, but for ``delay`` and what is yes or no.
+    A number may be an array (m,) for as many laws, but for what is yes or no.
     """
-    keep_acceleration, keep_current = (np.exp(-w * period) for w in filters)
+
+    mass: Any
+    damping: Any
+    estimate: Any  # a FrictionModel
+    filters: Any
+    velocity_estimator: Any = TWO_TAP
+    stiffness: Any = 0.0
+    coulomb_factor: Any = 1.0
+    current_factor: Any = 1.0
+    force_sensor: bool = False
+    reference_velocity: float = 0.0
+
+
+def gains_of(law, period, force_gain=1.0, current_time_constant=0.0, delay=0):
+    """Gains of the kernel for the :class:`Parameters` ``law`` and a drive; ``delay`` [samples]."""
+    keep_acceleration, keep_current = (np.exp(-w * period) for w in law.filters)
     keep_motor = np.exp(-period / current_time_constant) if current_time_constant else 0.0
-    coulomb = [coulomb_factor * level for level in estimate.coulomb]
+    estimate, estimator = law.estimate, law.velocity_estimator
+    coulomb = [law.coulomb_factor * level for level in estimate.coulomb]
     return [
-        estimate.mass / mass, estimate.mass, damping, stiffness, *estimate.viscous, *coulomb, keep_acceleration,
-        keep_current, current_factor, float(force_sensor), force_gain, keep_motor, delay, 1.0 / period,
-        taps(velocity_estimator), reference_velocity, *coefficients(velocity_estimator, period),
+        estimate.mass / law.mass, estimate.mass, law.damping, law.stiffness, *estimate.viscous, *coulomb,
+        keep_acceleration, keep_current, law.current_factor, float(law.force_sensor), force_gain, keep_motor, delay,
+        1.0 / period, taps(estimator), law.reference_velocity, *coefficients(estimator, period),
     ]  # fmt: skip
 
 
@@ -162,11 +178,9 @@ class Table(LawTable):
 def gains(p, axis, period):
     cutoff = p.filter or default_filter(axis.sampling.period)
     check_filters(period, cutoff, cutoff)
-    return gains_of(
-        FrictionModel.of(axis), p.mass, p.damping, (cutoff, cutoff), period, p.velocity_estimator,
-        force_gain=axis.drive.gain, current_time_constant=axis.drive.current_time_constant,
-        delay=axis.sampling.computation_delay,
-    )  # fmt: skip
+    law = Parameters(p.mass, p.damping, FrictionModel.of(axis), (cutoff, cutoff), p.velocity_estimator)
+    drive = axis.drive
+    return gains_of(law, period, drive.gain, drive.current_time_constant, axis.sampling.computation_delay)
 
 
 def equations(p, axis, period):

@@ -143,7 +143,7 @@ def test_what_cannot_be_retuned_says_what_can():
     assert retune_on_response(measured(two_mass()), two_mass(), no.value.nearest["crossover"], 60.0).k_v1 > 0.0
     with pytest.raises(InputError, match="found a crossover of 2 rad/s, expected one within the data"):
         retune_on_response(measured(two_mass()), two_mass(), 2.0)
-    with pytest.raises(InputError, match="place of the margin: found 'here'"):
+    with pytest.raises(InputError, match="`at`: found 'here', expected one of"):
         retune_on_response(measured(two_mass()), two_mass(), 50.0, at="here")
 
 
