@@ -76,7 +76,9 @@ def test_which_of_two_lags_is_the_current_loops_does_not_matter(others, method):
 def test_it_is_where_a_state_of_its_own_is_stepped_to(others, second):
     axis = with_lags(5e-4, second, *OTHERS[others])
     effects = [(one.effect, one.effect.values(one.parameters)) for one in axis.effects]
-    stepped = Plant(axis, [(replace(effect, lag=None), values) for effect, values in effects])
+    stepped = Plant(
+        axis, [(replace(effect, solver=replace(effect.solver, lag=None)), values) for effect, values in effects]
+    )
     assert stepped.states_at[-1] == Plant.of(axis).states_at[-1] + 1
     run, tight = Plant.of(axis).open_loop(VOLTS), stepped.open_loop(VOLTS, tolerance=1e-2)
     assert len(run.events) == len(tight.events) > 5
