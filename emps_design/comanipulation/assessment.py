@@ -66,7 +66,7 @@ from emps_design.control.impedance.robustness import (
 )
 from emps_design.control.nested_loops import NestedLoop, worst_loop
 from emps_design.control.sampled import MARGINAL
-from emps_design.errors import SpecificationError, UnstableError
+from emps_design.errors import SpecificationError
 from emps_design.laws.friction_model import PARAMETERS, left_out
 from emps_design.request import Request, option, takes
 from emps_design.view import View, Viewed
@@ -326,12 +326,6 @@ class ImpedanceAssessment(Viewed):
             f"nearest stable: mass {self.nearest['mass']:.4g} kg, damping "
             f"{self.nearest['damping']:.4g} N/(m/s), filter {self.nearest['filter']:.4g} rad/s on both signals"
         )
-
-    def require_stable(self) -> ImpedanceLaw:
-        """Return the law; raise :class:`UnstableError` with the reason and the nearest stable law if it is unstable."""
-        if not self.stable:
-            raise UnstableError(self.reason, dict(self.nearest or {}))
-        return self.law
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON document: apparent impedance, sampled loop, passivity, contact, mismatch, and smallest safe M_a."""
