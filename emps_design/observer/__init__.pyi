@@ -8,7 +8,6 @@ from .external_force import (
     as_driven as as_driven,
     back_emf_compensation as back_emf_compensation,
     effects_force as effects_force,
-    force_from_current as force_from_current,
     left_out as left_out,
     model_force as model_force,
     motor_force as motor_force,

@@ -250,25 +250,6 @@ def left_out(axis: Axis) -> dict[str, tuple[str, ...]]:
     }
 
 
-def force_from_current(axis: Axis, current: np.ndarray) -> np.ndarray:
-    """Motor force k_t r I_m of (29) from the motor's current [A], shape (n,) [N].
-
-    Needs the data sheet (``reduction`` and ``torque_constant``) in the axis's drive.
-
-    >>> from emps_design.machines import machine
-    >>> sheet = {"force_gain": 35.0, "current_gain": 1.0, "reduction": 350.0, "torque_constant": 0.1}
-    >>> force_from_current(machine("emps2018").replace(drive=sheet), np.array([2.0])).round(6).tolist()
-    [70.0]
-    """
-    drive = axis.drive
-    if drive.reduction is None or drive.torque_constant is None:
-        raise InputError(
-            f"{axis.name}: the force from the current needs drive.reduction [rad/m] and drive.torque_constant [N m/A]; "
-            "give the data sheet's, or observe from the voltage"
-        )
-    return drive.reduction * drive.torque_constant * np.asarray(current, dtype=float)
-
-
 class Resistance:
     """Resistance of the axis and its effects without states to motion, one sample at a time."""
 

@@ -12,7 +12,6 @@ from emps_design.machines import machine
 from emps_design.observer import (
     ForceObserver,
     KalmanForceObserver,
-    force_from_current,
     kalman_trade_off,
     observe_offline,
     observe_online,
@@ -131,15 +130,6 @@ def test_kalman_noise_is_that_of_simulation():
     q = speed * PERIOD * np.arange(n) + noise
     force = observe_online(observer, q, np.full(n, hold / AXIS.drive.force_gain))[5000:]
     assert np.std(force) == pytest.approx(observer.noise_std, rel=0.05)
-
-
-def test_force_from_current_is_that_from_voltage():
-    sheet = {"force_gain": 35.0, "current_gain": 2.0, "reduction": 250.0, "torque_constant": 0.07}
-    axis = AXIS.replace(drive=sheet)
-    voltage = np.array([0.5, -1.0])
-    np.testing.assert_allclose(force_from_current(axis, 2.0 * voltage), 35.0 * voltage)
-    with pytest.raises(InputError, match=r"needs drive\.reduction"):
-        force_from_current(AXIS, voltage)
 
 
 def test_smallest_force_is_the_largest_bound():
