@@ -39,7 +39,6 @@ _MECHANICAL = {
     "linear": {"position": _LENGTHS, "velocity": _SPEEDS, "force": _FORCES},
     "rotary": {"position": _ANGLES, "velocity": _TURNING, "force": _TORQUES},
 }
-COLUMNS = ("time", "position", "velocity", "force", "command", "supply")
 
 _KNOWN = {COUNTS}.union(
     _TIMES, *_ELECTRICAL.values(), *(units for columns in _MECHANICAL.values() for units in columns.values())
@@ -315,9 +314,10 @@ class Units:
         return display_unit(size, self.unit(base))
 
     def factor(self, unit: str, column: str, scale: float | None = None) -> float:
-        """Factor from ``unit`` to SI, or for a command to its unit on this axis; ``column`` is one of ``COLUMNS``.
+        """Factor from ``unit`` to SI, or for a command to its unit on this axis.
 
-        ``scale`` multiplies it; counts need one. Raises :class:`InputError` for a unit of another quantity.
+        ``column`` is time, position, velocity, force, command or supply. ``scale`` multiplies the factor; counts need
+        one. Raises :class:`InputError` for a unit of another quantity.
 
         >>> joint = Units("rotary", "current", "A")
         >>> joint.factor("mA", "command"), joint.factor("rpm", "velocity"), joint.factor("counts", "position", 1e-6)

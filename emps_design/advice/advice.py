@@ -46,7 +46,6 @@ SAFE_PHASE_MARGIN_DEG, SAFE_GAIN_MARGIN = 30.0, 2.0
 
 FOLLOWED = 2.0  # % of the force, largest error of a replay that follows the record
 COMES_TO_REST = ("stable", "dead_band")  # verdicts on a released carriage
-SWINGS = ("limit_cycle", "unstable")
 DESIGN, CODE, COMPENSATED = "design.toml", "code", "compensated"  # what is proposed to write
 
 

@@ -19,7 +19,7 @@ LAW_ARGUMENTS = (INT, REAL, REAL, REAL, REAL, ARRAY, ARRAY)  # of a control law'
 TRUTH, WHOLES = "truth", "wholes"  # of a condition; of an array of whole numbers
 
 PRECEDENCE = {"or": 1, "and": 2, "==": 4, "!=": 4, "<": 5, "<=": 5, ">": 5, ">=": 5, "+": 6, "-": 6, "*": 7, "/": 7}
-SIGN, ALONE = 8, 9
+SIGN = 8
 
 
 @dataclass(frozen=True)

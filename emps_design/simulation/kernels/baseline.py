@@ -23,7 +23,6 @@ SWINGS = 40.0  # swings of the voltage from limit to limit that make a loop unst
 
 LANES = 32
 ROWS = 20
-METRICS = 5  # columns of the result
 
 
 @part
