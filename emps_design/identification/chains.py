@@ -122,7 +122,6 @@ def _decimating(
         period=DECIMATION * record.period,
         cutoff_hz=cutoff_hz,
         band_hz=band,
-        decimation=DECIMATION,
         text=text,
     )
 
@@ -170,7 +169,6 @@ def hold_chain(
         period=factor * record.period,
         cutoff_hz=cutoff_hz,
         band_hz=cutoff_hz,
-        decimation=factor,
         text=f"Butterworth order 4 at {cutoff_hz:g} Hz, forwards and backwards, on motion and held force alike; second "
         f"difference; one sample in {factor}; left out: slower than {100 * SLOW:g} % of the largest velocity, or "
         f"{1e3 * REACH / cutoff_hz:.0f} ms from such a moment",

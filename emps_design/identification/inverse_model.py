@@ -82,7 +82,6 @@ class Filtered:
     period: float
     cutoff_hz: float | None
     band_hz: float
-    decimation: int
     text: str
 
     def without_motion(self) -> Filtered:
