@@ -438,7 +438,9 @@ def machine_of(axis: Axis, name: str) -> Machine:
     plant = Plant.of(axis)
     ready = plant.prepared(*plant.numbers(), 0.0, 0.0, 1, axis.sampling.period, axis.sampling.encoder_resolution)
     ring = _longest_delay(axis, plant) + 3
-    stepper = _stepper(ready.y.size, ring)
+    sizes = {"y.size": ready.y.size, "reference.size": ring, "push.size": ring, "noise.size": 0, "slots.size": 0}
+    fixed = {"law": 0, **sizes, "motor_rows.shape[0]": 0, "gains.shape[0]": 1}  # command and force drive it, no law
+    stepper = read_stepper(hold_loop.run, STEPPER_TYPES, fixed)
     printer = StepperPrinter(stepper.functions, name, SAMPLED)
     stepping, opened = (
         list(map(printer.function, stepper.functions[:-1])),
@@ -456,13 +458,6 @@ def machine_of(axis: Axis, name: str) -> Machine:
         printer.definitions(), [*helpers, *functions], stepping, opened, kernels, initial,
         {**texts, "scratch": [str(ready.scratch.size)]}, ring,
     )  # fmt: skip
-
-
-def _stepper(states: int, ring: int) -> Program:
-    """The stepper of an axis with that many ``states``: driven by command and force, no law."""
-    sizes = {"y.size": states, "reference.size": ring, "push.size": ring, "noise.size": 0, "slots.size": 0}
-    fixed = {"law": 0, **sizes, "motor_rows.shape[0]": 0, "gains.shape[0]": 1}
-    return read_stepper(hold_loop.run, STEPPER_TYPES, fixed)
 
 
 def _longest_delay(axis: Axis, plant: Plant) -> int:

@@ -413,15 +413,12 @@ def in_st(name: str, block: Block, vectors: Vectors) -> Files:
     return with_page(name, block, vectors, {f"{name}.st": template("block.st").render(words).rstrip() + "\n"})
 
 
-def _ahead_data(ahead: Ahead) -> dict[str, Any]:
-    """A feed-forward as plain data for the JSON document."""
-    own = ahead.feedforward
-    return {**_numbers(ahead, float), "reversal": ahead.reversal, "wait": own.wait, "back_emf": own.back_emf}
-
-
 def in_json(name: str, block: Block, vectors: Vectors) -> Files:
     """One document: numbers, equations and vectors."""
-    words = words_of(name, block)
+    words, feedforward = words_of(name, block), None
+    if (ahead := block.ahead) is not None:
+        own = {"reversal": ahead.reversal, "wait": ahead.feedforward.wait, "back_emf": ahead.feedforward.back_emf}
+        feedforward = {**_numbers(ahead, float), **own}
     document = {
         "schema": "emps-design/controller/1",
         **{key: words[key] for key in ("name", "axis", "kind", "label", "source", "version")},
@@ -442,7 +439,7 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
         "integral_that_waits": block.waits,
         "operations": operations_of(block),
         "drives": drive_settings(block.axis, {} if block.observes else gains_of(block.axis)),
-        "feedforward": None if block.ahead is None else _ahead_data(block.ahead),
+        "feedforward": feedforward,
         "vectors": vectors.to_dict(),
     }
     return {f"{name}.json": json.dumps(document, indent=1, allow_nan=False) + "\n"}
