@@ -296,18 +296,15 @@ def _recognise(assignments: dict[str, Assignment], titles: Sequence[str], layout
         command = QUANTITIES[name] == "command"
         if factor is None and not (unit == "" and command):
             if name in needed:
+                own = layout.unit(name)
+                expected = f"{own} as the command of the axis" if command else f"one such as {own}"
                 raise RecordError(
                     f"{source}: column {title!r}: found {f'the unit {unit}' if unit else 'no unit'}, expected "
-                    f"{_such_as(name, layout)}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
+                    f"{expected}; say in [record]: {KEYS[name]} = {{ column = ..., unit = ... }}"
                     + ("; for another machine: emps-design init --from TRACE" if command else "")
                 )
             continue
         assignments[name] = Assignment(name, title, unit or layout.unit(name), factor or 1.0, RECOGNISED)
-
-
-def _such_as(name: str, layout: Layout) -> str:
-    unit = layout.unit(name)
-    return f"{unit} as the command of the axis" if QUANTITIES[name] == "command" else f"one such as {unit}"
 
 
 def _lacking(lacking: list[str], titles: Sequence[str], layout: Layout, source: str) -> str:
