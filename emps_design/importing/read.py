@@ -436,7 +436,12 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
     edges = [len(record) * i // blocks for i in range(blocks + 1)]
     messages: list[str] = []
     for start, stop in pairwise(edges):
-        messages = _contradictions(axis, record if blocks == 1 else record.part(start, stop, record.name))
+        part = record if blocks == 1 else record.part(start, stop, record.name)
+        message = check_controller(axis, part) if can_replay(axis, part) else None
+        if message is None:
+            messages = check_motion(axis, part)
+        else:
+            messages = [text for text in (message or odd_increments(part),) if text]
         if messages:
             break
     if not messages:
@@ -445,13 +450,6 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
         messages = [f"in the part from {record.t[start]:.6g} s on, {text}" for text in messages]
     texts = tuple(f"{text}; {MEANS}" for text in messages)
     return replace(record, warnings=(*record.warnings, *texts), contradictions=texts)
-
-
-def _contradictions(axis: Axis, record: Record) -> list[str]:
-    message = check_controller(axis, record) if can_replay(axis, record) else None
-    if message is None:
-        return check_motion(axis, record)
-    return [text for text in (message or odd_increments(record),) if text]
 
 
 def import_record(
