@@ -21,6 +21,15 @@ from emps_design.units import Units
 
 OPTION = "option"  # the key of an Option in the metadata of a field
 
+# Declarations of an option that is a frequency or a ratio: option(None, "... [rad/s, or such as 30Hz]", **RAD_S).
+RAD_S: dict[str, Any] = {
+    "parse": functools.partial(read_frequency, unit="rad/s"),
+    "metavar": "FREQUENCY",
+    "typed": str | None,
+}
+HERTZ: dict[str, Any] = {**RAD_S, "parse": functools.partial(read_frequency, unit="Hz")}
+RATIO: dict[str, Any] = {"parse": read_ratio, "metavar": "RATIO", "typed": str | None}
+
 
 @dataclass(frozen=True)
 class Option:
@@ -53,16 +62,6 @@ def option(default: Any, help: str, **declaration: Any) -> Any:
     return field(
         default=MISSING if default is ... else default, metadata={OPTION: Option(help, **declaration)}, kw_only=False
     )
-
-
-# Declarations of an option that is a frequency or a ratio: option(None, "... [rad/s, or such as 30Hz]", **RAD_S).
-RAD_S: dict[str, Any] = {
-    "parse": functools.partial(read_frequency, unit="rad/s"),
-    "metavar": "FREQUENCY",
-    "typed": str | None,
-}
-HERTZ: dict[str, Any] = RAD_S | {"parse": functools.partial(read_frequency, unit="Hz")}
-RATIO: dict[str, Any] = {"parse": read_ratio, "metavar": "RATIO", "typed": str | None}
 
 
 @dataclass(frozen=True)
@@ -100,8 +99,12 @@ class Request:
         return getattr(getattr(self, "axis", None), "units", Units())
 
     def refuse(self, names: Iterable[str], why: str) -> None:
-        """Raise :class:`InputError` with ``why`` if the user set one of ``names``, which would have no effect."""
-        unused = [name for name in names if name in self.given]
+        """Raise :class:`InputError` with ``why`` if one of ``names``, which would have no effect, is set.
+
+        An option is set where the user gave it, even with its default, or where it has another value.
+        """
+        default = {entry.name: entry.default for entry in options_of(type(self))}
+        unused = [name for name in names if name in self.given or getattr(self, name) != default[name]]
         if unused:
             raise InputError(f"{', '.join(f'`{name}`' for name in unused)}: {why}")
 
@@ -140,18 +143,36 @@ def flags_of(declared: Field[Any]) -> tuple[str, ...]:
 RequestType = TypeVar("RequestType", bound=Request)
 
 
-def make_request(kind: type[RequestType], values: Mapping[str, Any], given: Iterable[str], **more: Any) -> RequestType:
+def make_request(
+    kind: type[RequestType],
+    values: Mapping[str, Any],
+    given: Iterable[str],
+    on_axis: Callable[[Any], None] = lambda axis: None,
+    **more: Any,
+) -> RequestType:
     """A request of ``kind`` from ``values``: texts, names and paths are read, the axis first, for it tells how to.
 
-    ``given`` are the names that the user set; ``more`` are fields that are no options.
+    ``given`` are the names that the user set; ``more`` are fields that are no options. ``on_axis`` is called with the
+    axis. The options are checked before records are read.
     """
-    read: dict[str, Any] = {}
-    for entry in sorted(options_of(kind), key=lambda entry: entry.name != "axis"):
-        value = values.get(entry.name, entry.default)
+    declared = sorted(options_of(kind), key=lambda entry: entry.name != "axis")
+    known = {entry.name: values.get(entry.name, entry.default) for entry in declared}
+    files = [entry.name for entry in declared if entry.metadata[OPTION].read is not None and entry.name != "axis"]
+    made: dict[str, Any] = {}
+    for entry in declared:
+        value = known[entry.name]
         if value is not MISSING:
-            read[entry.name] = _read(entry, value, read.get("axis"))
-    sources = {entry.name: values[entry.name] for entry in options_of(kind) if _is_source(entry, values)}
-    return kind(**read, given=frozenset(given), sources=sources, **more)
+            made[entry.name] = value if entry.name in files else _read(entry, value, made.get("axis"))
+            if entry.name == "axis":
+                on_axis(made["axis"])
+    sources = {entry.name: values[entry.name] for entry in declared if _is_source(entry, values)}
+    request = kind(**made, given=frozenset(given), sources=sources, **more)
+    late = {
+        entry.name: _read(entry, made[entry.name], made.get("axis"))
+        for entry in declared
+        if entry.name in files and entry.name in made
+    }
+    return dataclasses.replace(request, **late) if late else request
 
 
 def _is_source(entry: Field[Any], values: Mapping[str, Any]) -> bool:

@@ -111,7 +111,10 @@ def show(console: Console, part: Line | Table) -> None:
     if isinstance(part, Line):
         console.print(Text(printable(part.text), STYLES.get(part.style, "")), soft_wrap=part.style != "prose")
     else:
-        console.print(_rich(part))
+        table = _rich(part)
+        if console.measure(table, options=console.options.update(width=10_000)).maximum > console.width:
+            table.padding = (0, 1, 0, 0)  # closer columns
+        console.print(table)
 
 
 def _rich(table: Table) -> RichTable:

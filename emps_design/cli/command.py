@@ -16,9 +16,12 @@ from emps_design.commands import Reply
 from emps_design.commands.destinations import OVERWRITE, check_folder, check_named_out, check_out
 from emps_design.errors import InputError
 from emps_design.request import OPTION, Option, Request, flags_of, make_request, options_of, types_of
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     import typer
+
+    from emps_design.axis import Axis
 
 TURNING = "Units are those of a linear axis. For one that turns read kg m^2 for kg, N m for N and rad for m."
 # Options that every command has, and those of a command that writes a file.
@@ -95,8 +98,8 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     if as_json:
         _refuse_printed(kind, given)
     with output.progress_bar(not as_json or sys.stderr.isatty()) as progress:
-        request = make_request(kind, own, given, progress=progress, overwrite=bool(values.get("force")))
-        output.set_units(request.units)
+        overwrite = bool(values.get("force"))
+        request = make_request(kind, own, given, _speak_of, progress=progress, overwrite=overwrite)
         answer: Reply = module.answer(request)
     document, axis = answer.document, own.get("axis")
     output.set_units(answer.units)
@@ -112,11 +115,18 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
     else:
         output.print_view(answer.view)
     output.print_warnings(answer.warnings)
+    if answer.error is not None:
+        raise answer.error
     if answer.reason:
         output.tell(answer.reason)
     if not as_json and advised:
         output.say_advice(document)
     return answer.status
+
+
+def _speak_of(axis: Axis | None) -> None:
+    """Print in the units of ``axis`` from here on, errors too."""
+    output.set_units(Units() if axis is None else axis.units)
 
 
 def _from_words(context: typer.Context, key: str) -> bool:

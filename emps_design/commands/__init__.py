@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from emps_design.errors import EmpsError
 from emps_design.units import Units
 from emps_design.view import View
 
@@ -23,7 +24,7 @@ class Reply:
     ``document`` is the JSON, ``view`` what is printed instead, in ``units``. ``reason`` says why a design must not run.
     ``warnings`` go to standard error; those that the view prints are in the document alone. ``advised``: whether the
     document gets advice. ``write`` gets the JSON text with that advice, writes the files of an answer that hold it, and
-    may return their folder.
+    may return their folder. ``error`` is raised after the answer is printed: a file that it cannot make, for example.
     """
 
     document: dict[str, Any]
@@ -33,6 +34,7 @@ class Reply:
     warnings: tuple[str, ...] = ()
     advised: bool = True
     write: Callable[[str], str | None] | None = None
+    error: EmpsError | None = None
 
     @property
     def status(self) -> int:
