@@ -39,7 +39,6 @@ FLAGS = {
     "design_on": "--design-on",
     "estimator": "--estimator",
     "external_force='known'": "--external-force known",
-    "external_force=": "--external-force",
     "filter": "--filter",
     "fit_time": "--fit-time",
     "holdout": "--holdout",

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -47,13 +47,14 @@ from emps_design.identification.result import (
     BY_INSTRUMENTS,
     BY_LEAST_SQUARES,
     BY_OUTPUT_ERROR,
+    DEFAULTS,
     Estimate,
     Identification,
     IdentificationRequest,
-    More,
 )
 from emps_design.laws import NONE
 from emps_design.records import Record
+from emps_design.request import takes
 
 MOST_NOISE = 0.5  # of a column's own power: at most so much is attributed to encoder noise
 
@@ -200,36 +201,20 @@ def _force_error(on: str, error: np.ndarray, force: np.ndarray, used: np.ndarray
     }
 
 
-def identify(
-    record: Record,
-    axis: Axis | None = None,
-    model: str = "symmetric",
-    estimator: str = "auto",
-    filter: str = DEFAULT_CHAIN,
-    cutoff: float | None = None,
-    **more: Unpack[More],
-) -> Identification:
+@takes(IdentificationRequest)
+def identify(record: Record, axis: Axis | None = None, request: IdentificationRequest = DEFAULTS) -> Identification:
     """Identify ``axis`` from ``record``: the same as the command ``identify``, with its options and defaults.
 
     ``axis`` (default: the embedded emps2019) gives G_tau, the voltage limit, the controller, and what is known: delays
     and lags of the drive, and effects, whose force is subtracted and which stay in the identified axis. A missing
-    controller is identified from the record. ``model`` is ``symmetric`` or ``asymmetric``. ``estimator`` is ``ls``
-    (least squares), ``iv`` (instruments), ``oe`` (closed-loop output error) or ``auto``: ``ls``; ``iv`` where the
-    Durbin-Wu-Hausman test finds ``ls`` biased, at 1 % and by at least half a standard deviation, or where it
-    determines a parameter that noise hides from ``ls``; ``oe`` where only it determines such a parameter and all agree
-    on the others. ``filter`` is ``hold`` (the hold modelled, rests left out, cut-off from the data), ``report`` (2019
-    report) or ``paper`` (2018 paper), the latter two for ``ls`` only; ``cutoff`` [Hz] overrides the filter's own.
+    controller is identified from the record. The estimator ``auto`` is ``ls``; ``iv`` where the Durbin-Wu-Hausman test
+    finds ``ls`` biased, at 1 % and by at least half a standard deviation, or where it determines a parameter that noise
+    hides from ``ls``; ``oe`` where only it determines such a parameter and all agree on the others.
 
-    ``more``: with ``external_force`` "known" a measured external force takes part as in (21), with "refuse" (default)
-    it is refused. ``holdout`` is a record on which the fit is judged; without it the last third is, with parameters
-    from the rest. ``bootstrap`` is a number of redrawn noise sequences, from ``seed``, for ``ls`` only. ``with_`` names
-    terms beside the friction model, "gravity" (a weight on an axis that turns), "asymmetric-viscous" (viscous friction
-    by direction) and "bent-viscous" (``viscous |v|^viscous_exponent``), as a list or separated by commas, or "none";
-    with "auto" (default) those terms take part that held-out strokes call for. The intervals include the errors by the
-    cut-off (at half and twice), by the encoder's steps and by structure in the residual. Parameters that are impossible
-    or far from ``axis``, and an unexplained force, are warnings. Raises :class:`InputError` for options that do not go
-    together, :class:`RecordError` for a record that cannot identify, :class:`RankError` for columns it cannot tell
-    apart, :class:`AxisError` for ``iv`` and ``oe`` without a controller.
+    The intervals include the errors by the cut-off (at half and twice), by the encoder's steps and by structure in the
+    residual. Parameters that are impossible or far from ``axis``, and an unexplained force, are warnings. Raises
+    :class:`InputError` for options that do not go together, :class:`RecordError` for a record that cannot identify,
+    :class:`RankError` for columns it cannot tell apart, :class:`AxisError` for ``iv`` and ``oe`` without a controller.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -238,7 +223,6 @@ def identify(
     >>> round(mass.value, 0), mass.quantity.unit, identification.estimator
     (95.0, 'kg', 'least_squares')
     """
-    request = IdentificationRequest(model, estimator, filter, cutoff, **more)
     if axis is None:
         from emps_design.machines import machine
 

@@ -19,7 +19,7 @@ from emps_design.identification.excitation import KNOWN
 from emps_design.identification.filters import SLOW, held_force, motion, share_of_nyquist
 from emps_design.identification.identify import identify
 from emps_design.identification.result import Identification
-from emps_design.notebook import table
+from emps_design.identification.view import observation_view
 from emps_design.observer import (
     DEFAULT_CUTOFF_HZ,
     REST_VELOCITY,
@@ -36,6 +36,8 @@ from emps_design.observer import (
 )
 from emps_design.progress import Progress, no_progress, of_part
 from emps_design.records import Record
+from emps_design.units import Units
+from emps_design.view import View, Viewed
 
 NEAR_AN_EDGE = 0.1  # s, on both sides
 
@@ -159,7 +161,7 @@ class MethodResult:
 
 
 @dataclass(frozen=True)
-class Observation:
+class Observation(Viewed):
     """External force of a record: ``offline`` (19), ``online`` (first-order low-pass) and ``kalman``."""
 
     record: str
@@ -169,6 +171,7 @@ class Observation:
     f_ext: np.ndarray | None = field(repr=False)
     methods: dict[str, MethodResult] = field(repr=False)
     warnings: tuple[str, ...] = ()
+    units: Units = field(default=Units(), repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's ``observe --json``."""
@@ -180,13 +183,9 @@ class Observation:
             "warnings": list(self.warnings),
         }
 
-    def _repr_html_(self) -> str:
-        rows = [
-            (name, method.delay, method.rms_error, method.smallest.value, method.smallest.bound.replace("_", " "))
-            for name, method in self.methods.items()
-        ]
-        heads = ("method", "delay [s]", "rms error [N]", "smallest observable force [N]", "set by")
-        return table(f"{self.record}: external force observed with {self.axis}", rows, heads)
+    def view(self) -> View:
+        """What a terminal and a notebook show of it."""
+        return observation_view(self.to_dict(), self.units)
 
 
 def observe(
@@ -273,6 +272,7 @@ def observe(
         f_ext=record.f_ext,
         methods=methods,
         warnings=tuple(warnings),
+        units=axis.units,
     )
 
 

@@ -8,67 +8,76 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.effects.terms import TERMS
 from emps_design.errors import AxisError, InputError, nearest_name
-from emps_design.identification.chains import DEFAULT_CHAIN
+from emps_design.identification.chains import CHAINS, DEFAULT_CHAIN
 from emps_design.identification.excitation import KNOWN, REFUSE
-from emps_design.identification.model import Model, parameters_of
-from emps_design.identification.problem import check_chain, identified_effects
+from emps_design.identification.model import MODELS, Model
+from emps_design.identification.problem import identified_effects
 from emps_design.identification.statistics import LongRun
-from emps_design.notebook import table
+from emps_design.identification.view import identification_view
 from emps_design.quantities import Quantity
 from emps_design.records import Record
+from emps_design.request import HERTZ, Request, option
+from emps_design.view import View, Viewed
 
 AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR = "auto", "ls", "iv", "oe"
 NO_TERMS = "none"
 ESTIMATORS = (AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR)
-
-
-class More(TypedDict, total=False):
-    """The less common options of :func:`.identify`."""
-
-    external_force: str
-    holdout: Record | None
-    bootstrap: int
-    seed: int
-    with_: str | Sequence[str]
+HOLDOUT = "judge the fit on this record; without it on the last third, fitted to the rest"
 
 
 @dataclass(frozen=True)
-class IdentificationRequest:
+class IdentificationRequest(Request):
     """The options of :func:`.identify`; raises :class:`InputError` for unknown or incompatible ones.
 
     >>> IdentificationRequest(estimator="iv", bootstrap=100)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    emps_design.errors.InputError: `bootstrap`: goes with `estimator='ls'`, found 'iv', which filters as hold does ...
+    emps_design.errors.InputError: `bootstrap`: goes with `estimator='ls'`, found iv, which filters as hold does ...
     """
 
-    model: str = "symmetric"
-    estimator: str = AUTO
-    filter: str = DEFAULT_CHAIN
-    cutoff: float | None = None
-    external_force: str = REFUSE
-    holdout: Record | None = None
-    bootstrap: int = 0
-    seed: int = 0
-    with_: str | Sequence[str] = AUTO
+    model: str = option("symmetric", "friction: the same both ways, or by direction", choices=tuple(MODELS))
+    estimator: str = option(
+        AUTO,
+        "auto: ls, or iv where ls is biased or noise hides a parameter from it, or oe where from both; ls: least "
+        "squares; iv: instruments; oe: closed-loop output error",
+        choices=ESTIMATORS,
+    )
+    filter: str = option(
+        DEFAULT_CHAIN,
+        "hold: models the hold of the drive, leaves rests out, cut-off from the data; report: 100 Hz low-pass, of the "
+        "2019 report; paper: median and decimation, of the 2018 paper",
+        choices=tuple(CHAINS),
+    )
+    cutoff: float | None = option(
+        None,
+        "low-pass [Hz, or such as 370rad/s] instead of the filter's own; what the data say is shown too",
+        **HERTZ,
+    )
+    external_force: str = option(
+        REFUSE,
+        "refuse a record with one, or known: let the measured force take part, as in (21)",
+        choices=(REFUSE, KNOWN),
+    )
+    holdout: Record | None = option(None, HOLDOUT)
+    bootstrap: int = option(0, "draws of a bootstrap of the residual, 0: none", limits=(0, 100_000))
+    seed: int = option(0, "seed of the bootstrap", limits=(0, None))
+    with_: str | Sequence[str] = option(
+        AUTO,
+        "terms beside mass and friction, with commas: gravity (a weight on an axis that turns), asymmetric-viscous "
+        "(viscous friction by direction), bent-viscous (viscous |v|^viscous_exponent); auto: what held-out strokes of "
+        "the record call for; none",
+        typed=str,
+    )
 
     def __post_init__(self) -> None:
-        parameters_of(self.model)
-        check_chain(self.filter)
-        for name, option, allowed in (
-            ("`estimator`", self.estimator, ESTIMATORS),
-            ("`external_force=`", self.external_force, (REFUSE, KNOWN)),
-        ):
-            if option not in allowed:
-                expected = f"{', '.join(allowed[:-1])} or {allowed[-1]}"
-                raise InputError(f"{name}: found {option!r}, expected {expected}{nearest_name(option, list(allowed))}")
+        super().__post_init__()
         for term in self.terms or ():
             if term not in TERMS:
                 known = [*TERMS, NO_TERMS]
@@ -76,18 +85,14 @@ class IdentificationRequest:
                 raise InputError(f"`with_`: found {term!r}, expected {expected}{nearest_name(term, known)}")
             if TERMS[term].symmetric and self.model == "asymmetric":
                 raise InputError(f"`with_`: {term} goes with `model='symmetric'`, found {self.model!r}")
-        if self.estimator in (AUTO, BY_LEAST_SQUARES):
-            return
-        for name, chosen in (
-            ("`filter`", self.filter != DEFAULT_CHAIN),
-            ("`holdout`", self.holdout is not None),
-            ("`bootstrap`", self.bootstrap > 0),
-        ):
-            if chosen:
-                raise InputError(
-                    f"{name}: goes with `estimator='ls'`, found {self.estimator!r}, which filters as hold does and has "
-                    "intervals of its own"
-                )
+        if not self.bootstrap:
+            self.refuse(["seed"], "goes with `bootstrap`; nothing else is drawn")
+        if self.estimator not in (AUTO, BY_LEAST_SQUARES):
+            self.refuse(
+                ["filter", "bootstrap", "holdout"],
+                f"goes with `estimator='ls'`, found {self.estimator}, which filters as hold does and has intervals of "
+                "its own",
+            )
 
     @property
     def terms(self) -> tuple[str, ...] | None:
@@ -108,6 +113,9 @@ class IdentificationRequest:
     def simulates(self) -> bool:
         """Whether one of the estimators simulates the record with its controller."""
         return self.estimator != BY_LEAST_SQUARES and self.filter == DEFAULT_CHAIN and not self.bootstrap
+
+
+DEFAULTS = IdentificationRequest()
 
 
 @dataclass(frozen=True)
@@ -157,7 +165,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Viewed):
     """Parameters of one record with their deviations, and how they were estimated.
 
     ``fitted`` is the identified model: friction model and terms beside it, of which ``proposed`` are those that the
@@ -241,10 +249,9 @@ class Identification:
             "warnings": list(self.warnings),
         }
 
-    def _repr_html_(self) -> str:
-        rows = [(name, e.value, e.std, e.std_long_run, e.quantity.unit) for name, e in self.parameters.items()]
-        heads = ("parameter", "value", "std, (15)", "std, correlated residual", "unit")
-        return table(f"{self.record}: {self.model} model, {self.chain} filter", rows, heads, missing="not determined")
+    def view(self) -> View:
+        """What a terminal and a notebook show of it."""
+        return identification_view(self.to_dict(), self.axis.units)
 
     def _determined(self, purpose: str) -> dict[str, float]:
         """Every parameter as a number; :class:`AxisError` names those that the record does not determine."""

