@@ -90,7 +90,7 @@ class Request:
     overwrite: bool = field(default=False, kw_only=True, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for declared in options_of(type(self)):
+        for declared in _declared_by(type(self)).checked:
             _check(declared, getattr(self, declared.name), self.units)
 
     @property
@@ -127,10 +127,41 @@ def _check(declared: Field[Any], value: Any, units: Units) -> None:
         units.check(name, value, about.unit, positive=True)
 
 
-def options_of(request: type[Request]) -> list[Field[Any]]:
+@dataclass(frozen=True)
+class _Declared:
+    """The options of a request, arguments first: all, those checked, and those read, the axis first."""
+
+    options: tuple[Field[Any], ...]
+    checked: tuple[Field[Any], ...]
+    read: tuple[Field[Any], ...]
+
+
+_declared: dict[type[Request], _Declared] = {}  # once for each request, as a simulation is called very often
+
+
+def _declared_by(request: type[Request]) -> _Declared:
+    """What ``request`` declares."""
+    if request not in _declared:
+        fields = [entry for entry in dataclasses.fields(request) if OPTION in entry.metadata]
+        options = sorted(fields, key=lambda entry: not entry.metadata[OPTION].argument)
+        about = {entry.name: entry.metadata[OPTION] for entry in options}
+        read = sorted((e for e in options if _is_read(about[e.name])), key=lambda entry: entry.name != "axis")
+        checked = [entry for entry in options if _is_checked(about[entry.name])]
+        _declared[request] = _Declared(tuple(options), tuple(checked), tuple(read))
+    return _declared[request]
+
+
+def _is_checked(about: Option) -> bool:
+    return about.unit is not None or bool(about.choices) or about.limits != (None, None)
+
+
+def _is_read(about: Option) -> bool:
+    return about.read is not None or about.parse is not None
+
+
+def options_of(request: type[Request]) -> tuple[Field[Any], ...]:
     """The fields of ``request`` that are options, arguments first."""
-    declared = [entry for entry in dataclasses.fields(request) if OPTION in entry.metadata]
-    return sorted(declared, key=lambda entry: not entry.metadata[OPTION].argument)
+    return _declared_by(request).options
 
 
 def flags_of(declared: Field[Any]) -> tuple[str, ...]:
@@ -155,28 +186,25 @@ def make_request(
     ``given`` are the names that the user set; ``more`` are fields that are no options. ``on_axis`` is called with the
     axis. The options are checked before records are read.
     """
-    declared = sorted(options_of(kind), key=lambda entry: entry.name != "axis")
-    known = {entry.name: values.get(entry.name, entry.default) for entry in declared}
-    files = [entry.name for entry in declared if entry.metadata[OPTION].read is not None and entry.name != "axis"]
-    made: dict[str, Any] = {}
-    for entry in declared:
-        value = known[entry.name]
-        if value is not MISSING:
-            made[entry.name] = value if entry.name in files else _read(entry, value, made.get("axis"))
-            if entry.name == "axis":
-                on_axis(made["axis"])
-    sources = {entry.name: values[entry.name] for entry in declared if _is_source(entry, values)}
+    made, sources, late = dict(values), {}, []
+    for entry in _declared_by(kind).read:
+        name, reader = entry.name, entry.metadata[OPTION].read
+        value = values.get(name, entry.default)
+        if reader is not None and name in values:
+            sources[name] = value
+        if value is MISSING:
+            continue
+        made[name] = value
+        if reader is not None and name != "axis":
+            late.append(entry)
+            continue
+        made[name] = _read(entry, value, made.get("axis"))
+        if name == "axis":
+            on_axis(made[name])
     request = kind(**made, given=frozenset(given), sources=sources, **more)
-    late = {
-        entry.name: _read(entry, made[entry.name], made.get("axis"))
-        for entry in declared
-        if entry.name in files and entry.name in made
-    }
-    return dataclasses.replace(request, **late) if late else request
-
-
-def _is_source(entry: Field[Any], values: Mapping[str, Any]) -> bool:
-    return entry.metadata[OPTION].read is not None and entry.name in values
+    records = {entry.name: _read(entry, made[entry.name], made.get("axis")) for entry in late}
+    changed = {name: value for name, value in records.items() if value is not made[name]}
+    return dataclasses.replace(request, **changed) if changed else request
 
 
 def _read(entry: Field[Any], value: Any, axis: Any) -> Any:

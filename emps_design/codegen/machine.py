@@ -54,7 +54,7 @@ from emps_design.errors import InputError
 from emps_design.simulation import Plant
 from emps_design.simulation.kernels import compile as compiled, hold_loop
 from emps_design.simulation.kernels.compile import address
-from emps_design.simulation.plant import HOOKS
+from emps_design.simulation.plant import HOOKS, Inputs
 
 MORE: dict[Any, str] = {np.floor: "floor", np.ceil: "ceil", np.sqrt: "sqrt"}  # in C, but perhaps not on a drive
 MORE |= {
@@ -436,7 +436,7 @@ def machine_of(axis: Axis, name: str) -> Machine:
     3
     """
     plant = Plant.of(axis)
-    ready = plant.prepared(*plant.numbers(), 0.0, 0.0, 1, axis.sampling.period, axis.sampling.encoder_resolution)
+    ready = plant.prepared(Inputs(*plant.numbers(), 1, axis.sampling.period, axis.sampling.encoder_resolution))
     ring = _longest_delay(axis, plant) + 3
     sizes = {"y.size": ready.y.size, "reference.size": ring, "push.size": ring, "noise.size": 0, "slots.size": 0}
     fixed = {"law": 0, **sizes, "motor_rows.shape[0]": 0, "gains.shape[0]": 1}  # command and force drive it, no law

@@ -50,7 +50,7 @@ from emps_design.simulation.kernels.friction_period import advance, response, un
 from emps_design.simulation.kernels.hold_loop import DONE, run as run_samples
 from emps_design.simulation.kernels.lanes import LANES, lane, room, row
 from emps_design.simulation.kernels.motion import GAIN, LIMIT, PERIOD, RESOLUTION, encoded, friction_of
-from emps_design.simulation.plant import Plant, Prepared
+from emps_design.simulation.plant import Inputs, Plant, Prepared
 
 OWN = KEEP_ACCELERATION  # gains before this place are each law's own, those from there on the same for all
 ROWS = 14 + OWN + WAITING + MEASURES
@@ -257,8 +257,8 @@ class Setup:
         if stiffness or damping:
             plant, wish = plant.touched_by(Hand(0.0, damping, stiffness, held=True)), np.append(task.wish, np.nan)
         n = len(task.push) + 1  # one sample more: the state in which the last period ends
-        b, p = plant.numbers()
-        ready = plant.prepared(b, p, 0.0, 0.0, n, sampling.period, sampling.encoder_resolution, wish)
+        inputs = Inputs(*plant.numbers(), n, sampling.period, sampling.encoder_resolution, intention=wish)
+        ready = plant.prepared(inputs)
         law = replace(compiled[0], gains=np.vstack([law.gains for law in compiled]))
         return cls(law, getattr(laws[0], "rest_position", 0.0), task, ready)
 

@@ -22,6 +22,7 @@ from emps_design.effects.effect import MASS
 from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
+from emps_design.simulation.request import ClosedLoopRun
 
 MOST = 128e6  # bytes of residuals in the cache, most recently used
 
@@ -215,7 +216,8 @@ class Hypothesis:
         if "law" not in drive:
             drive["law"] = law_of(axis, measured.period, measured.extra)
         plant = Plant(axis, list(zip(self.model.effects, parameters, strict=True)))
-        return plant.closed_loop(**drive, baseline=self.model.baseline, quantise=False, tolerance=LOOSE)
+        baseline = self.model.baseline
+        return plant.closed_loop(ClosedLoopRun(**drive, baseline=baseline, quantise=False, tolerance=LOOSE))
 
     def driven(self, record: int) -> dict[str, Any]:
         """Keywords of :meth:`simulate` with the initial state and the drive of record number ``record``."""

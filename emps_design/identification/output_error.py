@@ -38,6 +38,7 @@ from emps_design.laws import NONE
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
+from emps_design.simulation.request import ClosedLoopRun
 from emps_design.simulation.run import driven_by
 
 PHASES = 8  # positions of the encoder's steps against the motion that are simulated
@@ -73,7 +74,7 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
     effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
     try:
-        return Plant.of(machine).closed_loop(**driven_by(machine, record), quantise=quantise)
+        return Plant.of(machine).closed_loop(ClosedLoopRun(**driven_by(machine, record), quantise=quantise))
     except SimulationError as error:
         raise RecordError(
             f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "

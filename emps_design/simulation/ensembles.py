@@ -25,6 +25,7 @@ from emps_design.simulation.kernels import baseline as core
 from emps_design.simulation.kernels.baseline import LANES, ROWS, run_lanes
 from emps_design.simulation.kernels.lanes import room
 from emps_design.simulation.plant import Plant
+from emps_design.simulation.request import ClosedLoopRun
 from emps_design.simulation.scenarios import DROPPED
 
 BASELINE = ("mass", "viscous", "coulomb", "offset")
@@ -324,8 +325,11 @@ def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
 def _alone(task: dict[str, Any], plant: Plant, baseline: np.ndarray, parameters: list[np.ndarray]) -> np.ndarray:
     reference, measured = task["q_ref"], task["measured"]
     q0 = float(measured[0][0] if measured else reference[0])
+    push, quantise = task["disturbance"], task["quantise"]
     run = plant.closed_loop(
-        reference, baseline, parameters, disturbance=task["disturbance"], q0=q0, quantise=task["quantise"]
+        ClosedLoopRun(
+            q_ref=reference, baseline=baseline, parameters=parameters, disturbance=push, q0=q0, quantise=quantise
+        )
     )
     kept = slice(min(DROPPED, reference.size - 1), None)
 

@@ -8,21 +8,30 @@ from __future__ import annotations
 
 import dis
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis, Drive
+from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.effects.effect import Kernel
 from emps_design.errors import InputError, SimulationError
 from emps_design.laws import Law, law_of
+from emps_design.request import takes
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.kernels import baseline as core, hold_loop as stepper, motion
 from emps_design.simulation.kernels.compile import address
+from emps_design.simulation.request import (
+    ClosedLoopRun,
+    OpenLoopRun,
+    intention_columns,
+    motor_rows,
+    positive,
+    signal,
+)
 from emps_design.simulation.run import Run
 
 # In the order of the rows of the table of hooks.
@@ -36,7 +45,7 @@ FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
 METHODS = ("general", "linear", "plain", "folded")  # of stepping; each one before the fastest exact one is exact too
 _ASUNDER = 1e-7  # least relative difference of two lags
 _EMPTY = np.zeros(0)
-_NO_SIGNALS, _NO_SLOTS = np.zeros((0, 0)), np.zeros(0, np.int64)
+_NO_SIGNALS, _NO_MOTOR, _NO_SLOTS = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros(0, np.int64)
 
 
 def summed_of(effect: Effect, touching: bool) -> Iterator[tuple[int, Kernel]]:
@@ -142,51 +151,29 @@ class Prepared:
     scratch: np.ndarray
 
 
-def intention_columns(wanted: np.ndarray, hand: np.ndarray, held: bool, n: int, period: float) -> np.ndarray:
-    """Return the parameters (n, 6) of a ``hand`` that means to be at ``wanted`` (n,) [m], nan where it has let go.
+@dataclass(frozen=True)
+class Inputs:
+    """What a run is made of, checked: the numbers of the plant, the state at first, the signals, and the settings.
 
-    Between samples the intention moves evenly; the force of a ``held`` hand is that of the sample itself.
+    ``baseline`` (4,), ``parameters`` end to end; ``resolution`` [m] of the encoder; without a ``law``, ``reference``
+    (n,) are the commands; ``motor`` as :func:`motor_rows` says. Empty signals are zero.
     """
-    grips, speed = ~np.isnan(wanted), np.zeros(wanted.size)
-    if wanted.size > 1:
-        step = np.diff(wanted) / period
-        speed = np.gradient(wanted, period) if held else np.append(step, 0.0)
-        speed[1:] = np.where(np.isnan(speed[1:]), step, speed[1:])
-    place = signal(np.where(grips, wanted, 0.0), "intention", "m", n)
-    return np.column_stack([grips[:, None] * hand[:3], place, np.nan_to_num(speed), np.arange(n) * period])
 
-
-def motor_rows(drive: Drive, supply: Any, enable: Any, n: int) -> np.ndarray:
-    """Gain [N/V] and braking [N/(m/s)] of a motor at each sample, (n, 2), or (0, 2) where they never change.
-
-    ``supply`` (n,) [V] of a duty, None: that of the ``drive``; ``enable`` (n,) 0 where it is off, None: nowhere.
-    """
-    supply = None if drive.command != "duty" or supply is None else signal(supply, "supply", "V", n)
-    if supply is None and enable is None:
-        return np.zeros((0, 2))
-    on = np.ones(n) if enable is None else (signal(enable, "enable", "", n) != 0.0).astype(float)
-    gain = drive.gain if supply is None else drive.force_gain * supply
-    return np.column_stack([on * gain, on * drive.braking])
-
-
-def positive(period: Any) -> float:
-    """Return ``period`` [s]; raise :class:`InputError` if it is not positive."""
-    if not (np.isfinite(period) and period > 0):
-        raise InputError(f"period: found {period:g} s, expected a positive number")
-    return float(period)
-
-
-def signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarray:
-    """Return ``values`` as an array (n,) of floats; raise :class:`InputError` unless they are ``n`` finite numbers."""
-    row = np.ascontiguousarray(values, dtype=float)
-    if row.ndim != 1 or row.size == 0 or (n is not None and row.size != n):
-        wanted = f"{n} numbers" if n else "a row of numbers"
-        raise InputError(f"{name}: found shape {row.shape}, expected {wanted} [{unit}]")
-    # A finite sum proves all finite, in one pass; otherwise find the first that is not (none if the sum overflowed).
-    if not np.isfinite(row.sum()) and not np.isfinite(row).all():
-        first = int(np.argmin(np.isfinite(row)))
-        raise InputError(f"{name}: sample {first} is {row[first]}, expected finite numbers [{unit}]")
-    return row
+    baseline: np.ndarray
+    parameters: np.ndarray
+    samples: int
+    period: float
+    resolution: float
+    q0: float = 0.0
+    v0: float = 0.0
+    intention: np.ndarray | None = None
+    energy: bool = False
+    tolerance: float = 1.0
+    law: Law | None = None
+    reference: np.ndarray = field(default_factory=lambda: _EMPTY)
+    push: np.ndarray = field(default_factory=lambda: _EMPTY)
+    noise: np.ndarray = field(default_factory=lambda: _EMPTY)
+    motor: np.ndarray = field(default_factory=lambda: _NO_MOTOR)
 
 
 class Plant:
@@ -261,114 +248,78 @@ class Plant:
         table = np.array([number for row in rows for entry in row for number in entry] or [0], np.int64)
         return table, np.array(list(accumulate(map(len, rows), initial=0)), np.int64)
 
-    def closed_loop(
-        self,
-        q_ref: np.ndarray,
-        baseline: np.ndarray | None = None,
-        parameters: Sequence[np.ndarray] | None = None,
-        disturbance: np.ndarray | None = None,
-        voltage_noise: np.ndarray | None = None,
-        q0: float | None = None,
-        period: float | None = None,
-        *,
-        v0: float = 0.0,
-        law: Law | None = None,
-        reference: np.ndarray | None = None,
-        quantise: bool = True,
-        intention: np.ndarray | None = None,
-        supply: np.ndarray | None = None,
-        enable: np.ndarray | None = None,
-        energy: bool = False,
-        tolerance: float = 1.0,
-        method: str = "auto",
-    ) -> Run:
+    @takes(ClosedLoopRun)
+    def closed_loop(self, request: ClosedLoopRun) -> Run:
         """Simulate the axis under its controller (or ``law``) and return the :class:`Run`.
 
-        ``q_ref`` (n,) [m]; ``baseline`` [mass, viscous, coulomb, offset] and ``parameters`` (one array per effect) in
-        place of the axis's; ``disturbance`` (n,) [N] on the carriage, held over each period; ``voltage_noise`` (n,) [V]
-        added after the controller; ``q0`` [m] first position (default ``q_ref[0]``) and ``v0`` [m/s]; ``reference`` of
-        the law, by default ``q_ref``, or its backward difference for a law that follows a velocity; ``intention`` (n,)
-        [m] is the position that a hand aims at, nan after it has let go; ``supply`` (n,) [V] is the supply of a duty,
-        by default the axis's; ``enable`` (n,) is 0 where the motor is switched off, its winding open; ``energy`` adds
-        the energy balance; ``quantise=False`` takes an exact encoder; ``tolerance`` scales the error tolerance of a
-        step; ``method`` is ``auto``, ``general``, ``linear``, ``plain`` or ``folded``.
         Raises :class:`SimulationError` with time, state and effect if the simulation cannot continue.
         """
-        period = self.axis.sampling.period if period is None else positive(period)
-        q_ref = signal(q_ref, "q_ref", "m")
-        law = law or law_of(self.axis, period)
-        if reference is None:
+        period = self._period(request)
+        q_ref = signal(request.q_ref, "q_ref", "m")
+        law = request.law or law_of(self.axis, period)
+        if request.reference is None:
             reference = law.reference(q_ref, period)
         else:
-            reference = signal(reference, "reference", "m or m/s", q_ref.size)
-        q0 = float(q_ref[0]) if q0 is None else float(q0)
-        return self._simulate(
-            law, reference, q_ref, baseline, parameters, disturbance, voltage_noise, q0, v0, period, quantise,
-            intention, motor_rows(self.axis.drive, supply, enable, q_ref.size), energy, tolerance, method,
-        )  # fmt: skip
+            reference = signal(request.reference, "reference", "m or m/s", q_ref.size)
+        noise = request.voltage_noise
+        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", q_ref.size)
+        q0 = float(q_ref[0]) if request.q0 is None else float(request.q0)
+        return self._simulate(self._inputs(request, law, reference, q0, noise), request.method, q_ref)
 
-    def open_loop(
-        self,
-        u: np.ndarray,
-        disturbance: np.ndarray | None = None,
-        q0: float = 0.0,
-        v0: float = 0.0,
-        baseline: np.ndarray | None = None,
-        parameters: Sequence[np.ndarray] | None = None,
-        period: float | None = None,
-        *,
-        quantise: bool = True,
-        intention: np.ndarray | None = None,
-        supply: np.ndarray | None = None,
-        enable: np.ndarray | None = None,
-        energy: bool = False,
-        tolerance: float = 1.0,
-        method: str = "auto",
-    ) -> Run:
-        """Simulate the axis under the voltage ``u`` (n,) [V], held over each period; the rest as in ``closed_loop``.
+    @takes(OpenLoopRun)
+    def open_loop(self, request: OpenLoopRun) -> Run:
+        """Simulate the axis under the voltage ``u`` and return the :class:`Run`, whose ``q_ref`` is not a number.
 
-        The voltage limit applies; ``command`` effects add to ``u``. ``q_ref`` of the run is not a number.
+        The voltage limit applies; ``command`` effects add to ``u``.
         """
-        period = self.axis.sampling.period if period is None else positive(period)
-        u = signal(u, "u", "V")
-        nothing = np.full(u.size, np.nan)
-        return self._simulate(
-            None, u, nothing, baseline, parameters, disturbance, None, q0, v0, period, quantise, intention,
-            motor_rows(self.axis.drive, supply, enable, u.size), energy, tolerance, method,
-        )  # fmt: skip
+        u = signal(request.u, "u", "V")
+        inputs = self._inputs(request, None, u, request.q0, _EMPTY)
+        return self._simulate(inputs, request.method, np.full(u.size, np.nan))
 
-    def _simulate(
-        self, law: Law | None, reference: np.ndarray, q_ref: np.ndarray, baseline: np.ndarray | None,
-        parameters: Sequence[np.ndarray] | None, disturbance: np.ndarray | None, noise: np.ndarray | None, q0: float,
-        v0: float, period: float, quantise: bool, intention: np.ndarray | None, motor: np.ndarray, energy: bool,
-        tolerance: float, method: str,
-    ) -> Run:  # fmt: skip
-        b, p = self.numbers(baseline, parameters)
-        hands = len(self._hands)
-        if hands > 1 or (intention is not None and not hands):
+    def _period(self, request: ClosedLoopRun | OpenLoopRun) -> float:
+        return self.axis.sampling.period if request.period is None else positive(request.period)
+
+    def _inputs(
+        self, request: ClosedLoopRun | OpenLoopRun, law: Law | None, reference: np.ndarray, q0: float, noise: np.ndarray
+    ) -> Inputs:
+        """The inputs of the run that ``request`` describes, checked."""
+        b, p = self.numbers(request.baseline, request.parameters)
+        hands, n, push = len(self._hands), reference.size, request.disturbance
+        if hands > 1 or (request.intention is not None and not hands):
             raise InputError(f"intention: found {hands} hands at the carriage, expected one; see Plant.touched_by")
-        if not (np.isfinite(q0) and np.isfinite(v0)):
-            raise InputError(f"q0, v0: found {q0:g} m, {v0:g} m/s, expected finite numbers")
-        n = q_ref.size
-        push = _EMPTY if disturbance is None else signal(disturbance, "disturbance", "N", n)
-        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", n)
-        resolution = self.axis.sampling.encoder_resolution if quantise else 0.0
-        fastest = "general" if energy or motor.size else self._method(p, law, noise, resolution)
+        if not (np.isfinite(q0) and np.isfinite(request.v0)):
+            raise InputError(f"q0, v0: found {q0:g} m, {request.v0:g} m/s, expected finite numbers")
+        return Inputs(
+            baseline=b,
+            parameters=p,
+            samples=n,
+            period=self._period(request),
+            resolution=self.axis.sampling.encoder_resolution if request.quantise else 0.0,
+            q0=q0,
+            v0=request.v0,
+            intention=request.intention,
+            energy=request.energy,
+            tolerance=request.tolerance,
+            law=law,
+            reference=reference,
+            push=_EMPTY if push is None else signal(push, "disturbance", "N", n),
+            noise=noise,
+            motor=motor_rows(self.axis.drive, request.supply, request.enable, n),
+        )
+
+    def _simulate(self, inputs: Inputs, method: str, q_ref: np.ndarray) -> Run:
+        n, motor = inputs.samples, inputs.motor
+        fastest = "general" if inputs.energy or motor.size else self._method(inputs)
         possible = ("auto", *METHODS[: METHODS.index(fastest) + 1])
         if method not in possible:
             raise InputError(f"method: found {method!r}, expected one of {', '.join(possible)} for this axis")
         method = fastest if method == "auto" else method
         events, tally = np.empty((n + 1000, 3)), np.array([0, n + 1000])
-        if law is None or method in ("general", "linear"):
-            ready = self.prepared(b, p, q0, v0, n, period, resolution, intention, energy, tolerance)
-            if self._solved == 1:
-                ready.settings[motion.LINEAR] *= method == "linear"
-            rows, balance = self._general(
-                law, reference, push, noise, motor, q0, v0, period, energy, events, tally, ready
-            )
+        balance = None
+        if inputs.law is None or method in ("general", "linear"):
+            rows, balance = self._general(inputs, method, events, tally)
         else:
-            balance = None
-            rows = self._core(method, b, law, reference, push, noise, (q0, v0), period, resolution, events, tally)
+            rows = self._core(inputs, method, events, tally)
         encoder, position, velocity, u, outside = rows
         kept = min(int(tally[0]), n + 1000)
         return Run(
@@ -380,7 +331,7 @@ class Plant:
             f_ext=outside,
             events=events[:kept].copy(),
             force_gain=motor[:, 0] if motor.size else self.axis.drive.gain,
-            period=period,
+            period=inputs.period,
             lost_events=int(tally[0]) - kept,
             energy=balance,
             name=self.axis.name,
@@ -398,12 +349,12 @@ class Plant:
             raise InputError(f"parameters: found {p.tolist()}, expected {self._p.size} finite numbers")
         return b, p
 
-    def _method(self, p: np.ndarray, law: Law | None, noise: np.ndarray, resolution: float) -> str:
+    def _method(self, inputs: Inputs) -> str:
         """The fastest way that is exact for this axis."""
-        delay = self.axis.sampling.computation_delay
+        delay, law = self.axis.sampling.computation_delay, inputs.law
         if self.effects or self._lag > 0 or law is None or not law.state_feedback:
-            return "linear" if self._solved == 1 and self._pieces(p) else "general"
-        return "plain" if delay or noise.size or resolution > 0 else "folded"
+            return "linear" if self._solved == 1 and self._pieces(inputs.parameters) else "general"
+        return "plain" if delay or inputs.noise.size or inputs.resolution > 0 else "folded"
 
     def _pieces(self, p: np.ndarray) -> list[tuple[int, float, float]]:
         """State index and range of every affine effect with the parameters ``p``; empty if one is not affine."""
@@ -416,17 +367,17 @@ class Plant:
                 pieces.append((self.states_at[i], *ends))
         return pieces
 
-    def _core(
-        self, method: str, b: np.ndarray, law: Law, reference: np.ndarray, push: np.ndarray, noise: np.ndarray,
-        start: tuple[float, float], period: float, resolution: float, events: np.ndarray, tally: np.ndarray,
-    ) -> Iterable[np.ndarray]:  # fmt: skip
-        n, drive, delay = reference.size, self.axis.drive, self.axis.sampling.computation_delay
-        b = b + np.array([0.0, drive.braking, 0.0, 0.0])
+    def _core(self, inputs: Inputs, method: str, events: np.ndarray, tally: np.ndarray) -> Iterable[np.ndarray]:
+        """Run the exact core, which takes no effects."""
+        assert inputs.law is not None
+        n, drive, delay = inputs.samples, self.axis.drive, self.axis.sampling.computation_delay
+        reference, push, period, start = inputs.reference, inputs.push, inputs.period, (inputs.q0, inputs.v0)
+        b = inputs.baseline + np.array([0.0, drive.braking, 0.0, 0.0])
         position, velocity, u, encoder = np.empty((4, n))
-        numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, law.gains)
+        numbers = core.numbers_of(period, drive.gain, drive.command_limit, inputs.resolution, inputs.law.gains)
         if method == "plain":
             good = core.run_plain(
-                b, numbers, delay, start, reference, push, noise, position, encoder, velocity, u, events, tally
+                b, numbers, delay, start, reference, push, inputs.noise, position, encoder, velocity, u, events, tally
             )
         else:
             good = core.run_folded(b, numbers, start, reference, push, position, velocity, u, events, tally)
@@ -438,24 +389,13 @@ class Plant:
             raise SimulationError(stepper.REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
         return encoder, position, velocity, u, push if push.size else np.broadcast_to(0.0, n)
 
-    def prepared(
-        self,
-        b: np.ndarray,
-        p: np.ndarray,
-        q0: float,
-        v0: float,
-        n: int,
-        period: float,
-        resolution: float,
-        intention: np.ndarray | None = None,
-        energy: bool = False,
-        tolerance: float = 1.0,
-    ) -> Prepared:
-        """Return what the general stepper needs to run ``n`` samples from ``q0`` [m], ``v0`` [m/s]."""
-        columns, slots = self._intended(intention, n, period)
+    def prepared(self, inputs: Inputs) -> Prepared:
+        """Return what the general stepper needs for a run with these ``inputs``."""
+        b, p, q0, v0 = inputs.baseline, inputs.parameters, inputs.q0, inputs.v0
+        columns, slots = self._intended(inputs.intention, inputs.samples, inputs.period)
         drive, settings = self.axis.drive, np.zeros(motion.SETTINGS)
-        settings[motion.PERIOD], settings[motion.GAIN] = period, drive.gain
-        settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, resolution
+        settings[motion.PERIOD], settings[motion.GAIN] = inputs.period, drive.gain
+        settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, inputs.resolution
         settings[motion.DELAYED] = self.axis.sampling.computation_delay
         settings[motion.LAG], settings[motion.BEHIND] = self._lags(b, p, q0, v0)
         settings[motion.BRAKING] = drive.braking
@@ -470,10 +410,10 @@ class Plant:
                 settings[motion.BRAKING] += effect.solver.slopes(values)[0] if effect.winding else 0.0
         mass = settings[motion.MASS]
         settings[motion.MOBILITY] = 1.0 / mass if mass != 0.0 else np.inf
-        states = self._states + (4 if energy else 0)
+        states = self._states + (4 if inputs.energy else 0)
         settings[motion.FREE], settings[motion.STATES] = self._free, states
-        settings[motion.TOLERANCE], settings[motion.ENERGY] = tolerance, self._states if energy else 0
-        if not energy:
+        settings[motion.TOLERANCE], settings[motion.ENERGY] = inputs.tolerance, self._states if inputs.energy else 0
+        if not inputs.energy:
             settings[motion.SLIDES], settings[motion.EXACT] = self._slides, self._exact
             for at, lower, upper in self._pieces(p):
                 settings[motion.LINEAR] = self._solved
@@ -506,11 +446,13 @@ class Plant:
         return first, first * (1.0 + _ASUNDER) if abs(second - first) < _ASUNDER * first else second
 
     def _general(
-        self, law: Law | None, reference: np.ndarray, push: np.ndarray, noise: np.ndarray, motor: np.ndarray, q0: float,
-        v0: float, period: float, energy: bool, events: np.ndarray, tally: np.ndarray, ready: Prepared,
-    ) -> tuple[Iterable[np.ndarray], dict[str, float] | None]:  # fmt: skip
-        n, y = reference.size, ready.y
-        braking = ready.settings[motion.BRAKING]
+        self, inputs: Inputs, method: str, events: np.ndarray, tally: np.ndarray
+    ) -> tuple[Iterable[np.ndarray], dict[str, float] | None]:
+        """Run the general stepper; the rows of the run, and its energy balance where requested."""
+        ready, motor, law, n = self.prepared(inputs), inputs.motor, inputs.law, inputs.samples
+        if self._solved == 1:
+            ready.settings[motion.LINEAR] *= method == "linear"
+        y, braking = ready.y, ready.settings[motion.BRAKING]
         motor[:, 1] += np.where(motor[:, 0] != 0.0, braking - self.axis.drive.braking, 0.0)
         if np.any(motor[:, 1] != braking):  # what is solved or slid through is for one braking
             ready.settings[[motion.SLIDES, motion.EXACT, motion.LINEAR]] = 0.0
@@ -525,13 +467,13 @@ class Plant:
                 raise InputError(f"law: found gains for {len(gains)} samples, expected {n}: those of its own record")
         plant = (ready.baseline, ready.hooks, ready.starts, ready.parameters, ready.settings)
         status, k, within = stepper.run(
-            plant, y, place, gains, memory, reference, push, noise, motor, ready.columns, ready.slots,
-            ready.floors, ready.scratch, out, events, tally,
+            plant, y, place, gains, memory, inputs.reference, inputs.push, inputs.noise, motor, ready.columns,
+            ready.slots, ready.floors, ready.scratch, out, events, tally,
         )  # fmt: skip
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
-            raise SimulationError(stepper.REASONS[status], k * period + within, tuple(y.tolist()), names)
-        return out, self._energy(ready, q0, v0, n * period) if energy else None
+            raise SimulationError(stepper.REASONS[status], k * inputs.period + within, tuple(y.tolist()), names)
+        return out, self._energy(ready, inputs.q0, inputs.v0, n * inputs.period) if inputs.energy else None
 
     def _energy(self, ready: Prepared, q0: float, v0: float, end: float) -> dict[str, float]:
         """Energy balance [J]; ``residual`` is the error of the integration, or the energy of a jump of the mass."""

@@ -356,8 +356,17 @@ def _open_loop(axis: Axis, record: Record, quantise: bool) -> Run:
     for start, stop in pairwise([*starts, n]):
         part = record.part(start, stop)
         v0 = float(part.q[SPAN] - part.q[0]) / (SPAN * part.period) if start and len(part) > SPAN else 0.0
-        how: dict[str, Any] = {"supply": part.supply, "enable": part.enable, "quantise": quantise}
-        runs.append(plant.open_loop(part.u, part.f_ext, float(part.q[0]), v0, period=part.period, **how))
+        run = plant.open_loop(
+            part.u,
+            disturbance=part.f_ext,
+            q0=float(part.q[0]),
+            v0=v0,
+            period=part.period,
+            supply=part.supply,
+            enable=part.enable,
+            quantise=quantise,
+        )
+        runs.append(run)
     return Run.joined(runs)
 
 

@@ -6,6 +6,7 @@ import pytest
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 from emps_design.simulation.kernels import motion
+from emps_design.simulation.plant import Inputs
 
 VOLTS = np.repeat(np.random.default_rng(3).uniform(-3.0, 3.0, 60), 7)
 PULSES = {"kind": "external_force", "amplitude": 12.0}
@@ -41,4 +42,4 @@ def test_slides_between_jumps_are_where_steps_lead(jumps, others, lag):
 @pytest.mark.parametrize("others", ["alone", "friction"])
 def test_jumps_leave_the_periods_between_them_to_slides(others):
     plant = Plant.of(machine("emps2019").replace(effects=[*OTHERS[others], JUMPS["with the samples"]]))
-    assert plant.prepared(*plant.numbers(), 0.0, 0.0, 10, 1e-3, 0.0).settings[motion.SLIDES] == 2.0
+    assert plant.prepared(Inputs(*plant.numbers(), 10, 1e-3, 0.0)).settings[motion.SLIDES] == 2.0

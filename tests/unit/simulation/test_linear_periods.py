@@ -8,6 +8,7 @@ from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 from emps_design.simulation.kernels.motion import LINEAR
+from emps_design.simulation.plant import Inputs
 from emps_design.simulation.synthetic import trapezoid_laps
 
 LAG = {"kind": "actuator_lag", "time_constant": 0.25e-3}
@@ -111,4 +112,4 @@ def test_smooth_forces_beside_are_within_the_tolerance(first, others):
 def test_a_force_that_sees_the_command_behind_a_lag_is_stepped():
     """What it sees fades, and is no parabola of time."""
     ideal, lagged = (Plant.of(machine("emps2019").replace(effects=[PLAY, LOADED, *more])) for more in ((), (LAG,)))
-    assert [one.prepared(*one.numbers(), 0.0, 0.0, 1, 1e-3, 0.0).settings[LINEAR] for one in (ideal, lagged)] == [3, 0]
+    assert [one.prepared(Inputs(*one.numbers(), 1, 1e-3, 0.0)).settings[LINEAR] for one in (ideal, lagged)] == [3, 0]

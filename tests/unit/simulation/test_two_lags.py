@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 from emps_design.simulation.kernels.friction_period import BREAKAWAY
+from emps_design.simulation.plant import Inputs
 
 VOLTS = np.repeat(np.random.default_rng(3).uniform(-3.0, 3.0, 60), 7)
 
@@ -46,7 +47,7 @@ def test_without_friction_it_is_the_matrix_exponential(first, second):
 @pytest.mark.parametrize("energy", [False, True])
 def test_a_lag_is_no_state(energy):
     plant, b = Plant.of(with_lags(5e-4, 1e-5)), machine("emps2018").mechanics.array()
-    ready = plant.prepared(b, np.array([1e-5]), 0.0, 0.0, 10, 1e-3, 0.0, energy=energy)
+    ready = plant.prepared(Inputs(b, np.array([1e-5]), 10, 1e-3, 0.0, energy=energy))
     assert ready.y.size == (6 if energy else 2)
 
 
