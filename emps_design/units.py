@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -261,10 +261,10 @@ class Units:
         rpm = f" ({_scaled(numbers, 1.0 / _RPM)} rpm)" if turning and abs(_float(numbers)) >= 0.1 else ""
         return f"{numbers} {unit}".rstrip() + rpm
 
-    def quantity(self, value: float, base: str, spec: str = ".4g") -> str:
+    def quantity(self, value: float, base: str, spec: str | Callable[[float], str] = ".4g") -> str:
         """``value`` [SI of ``base``] with its unit on this axis; ``base`` may have a prefix, such as mm or mV.
 
-        A speed of a rotary axis is given in rpm as well. ``spec`` formats the number.
+        A speed of a rotary axis is given in rpm as well. ``spec`` formats the number, or is a function that does.
 
         >>> joint = Units("rotary", "current", "A")
         >>> joint.quantity(1.2, "N"), joint.quantity(0.012, "mm/s"), joint.quantity(1.5, "m/s", ".3g")
@@ -274,9 +274,13 @@ class Units:
         """
         prefix = _PREFIXED.get(base.partition("/")[0], 1.0)
         unit, factor = self.read(base)
-        text = f"{format(value / prefix * factor, spec)} {unit}".rstrip()
+
+        def text(number: float) -> str:
+            return spec(number) if callable(spec) else format(number, spec)
+
+        shown = f"{text(value / prefix * factor)} {unit}".rstrip()
         turning = self.rotary and base == "m/s" and abs(value) >= 0.1
-        return f"{text} ({format(value / _RPM, spec)} rpm)" if turning else text
+        return f"{shown} ({text(value / _RPM)} rpm)" if turning else shown
 
     def word(self, name: str) -> str:
         """This axis's word for ``name``, a word of the linear axis with a voltage command.

@@ -47,6 +47,7 @@ from emps_design.discrepancy.residual_views import (
 )
 from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.unexplained import GAIN_KNOWN, ONE_FORCE, SAID, depends_on
+from emps_design.discrepancy.words import changed, filled, worded
 from emps_design.effects.effect import COULOMB, OFFSET
 from emps_design.effects.sizes import sized, sizes
 from emps_design.identification.excitation import one_direction
@@ -59,8 +60,8 @@ from emps_design.records.record import joined
 
 NOISE = "what does not come again with the same motion"
 BALANCED = (
-    "forces are balanced along the measured motion and nothing is simulated: of the effects only those are looked for "
-    "that the motion of a moment tells, {looked_for}"
+    "{forces} are balanced along the measured motion and nothing is simulated: of the effects only those are looked "
+    "for that the motion of a moment tells, {looked_for}"
 )
 MOST_LEFT = 0.1  # of the force: a residual below that, not repeatable with the motion, may be noise alone
 BESIDE = 0.75  # samples of delay between command and motion from which a warning says so; resolution half a sample
@@ -121,7 +122,7 @@ class BalanceResult:
 
 def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
     """The diagnosis that ``outcome`` gives for the machine of ``axis``."""
-    balance, used = outcome.balance, outcome.balance.used
+    balance, used, units = outcome.balance, outcome.balance.used, axis.units
     before, after = (balance.missing(model) for model in (outcome.baseline, outcome.extended))
     forces = balance.filtered.force[balance.filtered.used]
     gap = _gap(*(balance.residual(model)[balance.filtered.used] for model in (outcome.baseline, outcome.extended)))
@@ -130,8 +131,8 @@ def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
     low, high = (ratio * end for end in gap.intervals["extended"])
     floor = Floor(noise, noise, (low, high), (low, high), Whitening.none(), np.zeros(0), NOISE)
     findings = tuple(_finding(outcome, finding) for finding in outcome.named)
-    limit = balance.axis.drive.command_limit
-    drawn = views(before, after, used, noise, limit, balance.cutoff)
+    drawn = views(before, after, used, noise, balance.axis, balance.cutoff)
+    balanced = BALANCED.format(forces=units.word("forces"), looked_for=_candidate_labels(outcome))
     too_fast = f"Nothing above {balance.filtered.band_hz:.2g} Hz can be told"
     details: dict[str, Any] = {
         "simulation": "inverse model",
@@ -144,22 +145,18 @@ def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
         "calibration": (
             f"A finding must lower the error of strokes that took no part in its fit {TWICE:g} times or more, in one "
             f"stroke after the other and not by chance, beside all other findings, and by more than {100 * LITTLE:g} % "
-            "of the force."
+            f"of the {units.word('force')}."
         ),
-        "assumptions": [GAIN_KNOWN, ONE_FORCE, BALANCED.format(looked_for=_candidate_labels(outcome))],
+        "assumptions": [filled(GAIN_KNOWN, units), filled(ONE_FORCE, units), balanced],
         "warnings": [*_warnings(outcome), too_fast],
         "rest": (too_fast,),
-        "spectrum_over_time": spectrum_over_time(before),
+        "spectrum_over_time": spectrum_over_time(before, units),
         "interrupted": False,
     }
     over: list[str] = []
     if outcome.verdict == "parameters-only":
-        axis_numbers = balance.axis.mechanics.array()
-        details["changed"] = ", ".join(
-            f"{BASELINE[i].name.replace('_', ' ')} {axis_numbers[i]:.5g} -> "
-            f"{outcome.extended.parameters[BASELINE[i].name]:.5g} {BASELINE[i].unit}"
-            for i in outcome.off
-        )
+        numbers = outcome.extended.model.baseline(_whole(outcome.extended))
+        details["changed"] = changed(balance.axis.mechanics.array(), numbers, outcome.off, units)
     if outcome.lacks:
         details["unexplained"] = _unexplained(outcome, gap, noise)
         over = details["unexplained"]["over"]
@@ -194,7 +191,8 @@ def _finding(outcome: BalanceResult, finding: Named) -> Finding:
     balance, units = outcome.balance, {p.name: p.unit for p in finding.effect.parameters}
     residuals = [balance.residual(model)[balance.filtered.used] for model in (finding.without, outcome.extended)]
     before, after = (float(np.sqrt(np.mean(error**2))) for error in residuals)
-    where = where_document(extent(balance.record, balance.along(finding.force), balance.used))
+    region = extent(balance.record, balance.along(finding.force), balance.used)
+    where = where_document(region, balance.axis.units)
     return Finding(
         effect=finding.effect.name,
         label=finding.effect.label,
@@ -227,9 +225,9 @@ def _candidate(candidate: Tried) -> dict[str, Any]:
 
 def _parameters(outcome: BalanceResult) -> dict[str, Any]:
     """Baseline parameters of the axis file, fitted alone, and beside the effects; None where not determined."""
-    axis_numbers, table = outcome.balance.axis.mechanics.array(), {}
+    axis_numbers, table, units = outcome.balance.axis.mechanics.array(), {}, outcome.balance.axis.units
     for place, quantity in enumerate(BASELINE):
-        entry = {"unit": quantity.unit, "axis": float(axis_numbers[place])}
+        entry = {"unit": units.unit(quantity.unit), "axis": float(axis_numbers[place])}
         for name, fitted in (("baseline", outcome.baseline), ("extended", outcome.extended)):
             determined = quantity.name in fitted.determined
             value = float(fitted.model.baseline(_whole(fitted))[place]) if determined else None
@@ -237,7 +235,7 @@ def _parameters(outcome: BalanceResult) -> dict[str, Any]:
         table[quantity.name] = entry
     if outcome.balance.friction == ONE_WAY:
         direction = one_direction([outcome.balance.record])
-        entry = {"unit": LUMP.unit, "axis": float(axis_numbers[COULOMB] + direction * axis_numbers[OFFSET])}
+        entry = {"unit": units.unit(LUMP.unit), "axis": float(axis_numbers[COULOMB] + direction * axis_numbers[OFFSET])}
         for name, fitted in (("baseline", outcome.baseline), ("extended", outcome.extended)):
             value = fitted.determined.get(LUMP.name)
             entry[name] = {"value": value, "std": None if value is None else fitted.deviation(LUMP.name)}
@@ -298,14 +296,15 @@ def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, An
     fold = np.arange(len(balance.record)) * 10 // len(balance.record) % 2  # every second tenth of the record
     shares = depends_on((missing,), (used & (fold == 0),), (missing,), (used & (fold == 1),))
     over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
-    where = where_document(extent(balance.record, missing.force, used, noise if again else 0.0))
+    units = balance.axis.units
+    where = where_document(extent(balance.record, missing.force, used, noise if again else 0.0), units)
     place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
     depends = "it depends on none of position, velocity, time and load alone"
     if over:
         parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
         depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
-    size = f"{rounded(rms)} N rms over the noise" if again else f"{rounded(rms)} N rms"
-    of = f"{100 * outcome.unexplained.share:.2g} % of the force"
+    size = f"{units.quantity(rms, 'N', rounded)} rms{' over the noise' if again else ''}"
+    of = f"{100 * outcome.unexplained.share:.2g} % of the {units.word('force')}"
     text = f"{size}{place}, where the model leaves {of}; {depends}"
     return {
         "rms": rms,
@@ -317,7 +316,7 @@ def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, An
         "place": where["text"],
         "kind": "",
         "record": "train",
-        "map": force_map(missing),
+        "map": force_map(missing, units),
     }
 
 
@@ -335,8 +334,8 @@ def _warnings(outcome: BalanceResult) -> list[str]:
     unexplained = outcome.unexplained
     if unexplained.share > MOST_LEFT and unexplained.structure <= LITTLE:
         remarks.append(
-            f"{100 * unexplained.share:.2g} % of the force is left and does not come again with the motion: noise of "
-            "the command, or something that remembers what was before"
+            f"{100 * unexplained.share:.2g} % of the {outcome.balance.axis.units.word('force')} is left and does not "
+            "come again with the motion: noise of the command, or something that remembers what was before"
         )
     return remarks
 
@@ -352,7 +351,7 @@ def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
     Raises :class:`InputError` for records that cannot be judged so.
     """
     records, axis, holdout, progress = request.records, request.axis, request.holdout, request.progress
-    progress("balancing the forces along the motion", 0.1)
+    progress(f"balancing the {axis.units.word('forces')} along the motion", 0.1)
     warnings = check_records(records, axis, along_motion=True)
     for other in (*records[1:], *(() if holdout is None else (holdout,))):
         check_same_drive(records[0], other, axis)
@@ -366,7 +365,8 @@ def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
     fitted = parts[0] if len(parts) == 1 else joined(parts, axis.units.rotary)
     balance = Balance.of(fitted, known)
     factors = sizes(fitted.q, fitted.u, fitted.period, axis.drive.gain)
-    effects = {effect.name: sized(effect, factors) for effect in request.library or () if effect.acts_on(axis.motion)}
+    own = (effect for effect in request.library or () if effect.acts_on(axis.motion))
+    effects = {effect.name: worded(sized(effect, factors), axis.units) for effect in own}
     baseline = balance.fitted()
     progress("asking the strokes that take no part", 0.4)
     terms = terms_of(axis, effects)

@@ -337,7 +337,7 @@ def select_terms(
         if better:
             remarks.append(
                 f"{inside(effect.label)} would explain much, and {inside(' or '.join(better))} in its place more, of "
-                "which a balance of forces finds no numbers: neither is named"
+                f"which a balance of {balance.axis.units.word('forces')} finds no numbers: neither is named"
             )
         else:
             lost[term] = float(strokes.errors(rest).sum())

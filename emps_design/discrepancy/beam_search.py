@@ -400,9 +400,10 @@ def search_or_kind(calibration: Calibration, progress: Progress, before: Outcome
     limit, or an end stop, hides the kind of the rest.
     """
     outcome, forces = begin_search(calibration, progress, A_FEW, before), list[OfAKind]()
+    units = calibration.baseline.problem.axis.units
 
     def look(path: list[Fit]) -> None:
-        progress("whether it is an unknown force of one kind", 0.6)
+        progress(f"whether it is an unknown {units.word('force')} of one kind", 0.6)
         forces.extend(_of_a_kind(calibration, path, before.of_a_kind if before else None))
 
     confirmed = calibration.preparation.held_out is not None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ from emps_design.discrepancy.gap import Gap, GapComparison, compare, compare_on
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.starts import screen, tangent
 from emps_design.discrepancy.verdict import Validation
-from emps_design.effects import Effect, get_effect, kind_of
+from emps_design.discrepancy.words import label_of
+from emps_design.effects import Effect
 from emps_design.quantities import inside, rounded
 
 MOST_ADDED = 12
@@ -74,11 +76,11 @@ class Closest:
     holdout: Gap | None = None
     share: float | None = None
 
-    def to_dict(self, written: bool) -> Mapping[str, Any]:
-        """The document's ``closest``: gaps in the contract's form, the effects, and the file if it was ``written``."""
+    def to_dict(self, unit: str, written: bool) -> Mapping[str, Any]:
+        """The document's ``closest``: gaps [``unit``] in the contract's form, the effects, the file if ``written``."""
         judged = {name: gap for name, gap in (("train", self.train), ("holdout", self.holdout)) if gap is not None}
         gaps = {
-            name: {"unit": "N", **{part: gap.to_dict(measure) for part, gap in judged.items()}}
+            name: {"unit": unit, **{part: gap.to_dict(measure) for part, gap in judged.items()}}
             for name, measure in (("gap", ""), ("gap_inverse_60hz", "_60hz"))
         }
         known = {} if self.axis is None else {"effects": list(self.effects), **gaps, "share_of_force": self.share}
@@ -100,14 +102,14 @@ def closest_of(validation: Validation) -> Closest:
         held_out = compare_on(data.with_whitening(problem.whitening), baseline, model)
     judged, before = held_out or train, validation.held_out or validation.train
     where = "training" if held_out is None else "held-out"
-    errors = f"{rounded(judged.gap.extended, 3)} N instead of {rounded(before.gap.extended, 3)} N of the {where} force"
+    units = problem.axis.units
+    left, instead = (units.quantity(gap.extended, "N", partial(rounded, places=3)) for gap in (judged.gap, before.gap))
+    errors = f"{left} instead of {instead} of the {where} {units.word('force')}"
     if judged.gap.extended >= before.gap.extended:
         return Closest(f"curves over position, velocity and path follow no more closely: they leave {errors}")
-    more = tuple(
-        dict.fromkeys(get_effect(kind_of(name)).label for name in model.names if name not in named.model.names)
-    )
-    listed = ", ".join(map(inside, more)) or "other numbers"
-    text = f"with {listed} the simulation leaves {errors}; that describes the machine, and names no cause"
+    more = tuple(dict.fromkeys(label_of(name, units) for name in model.names if name not in named.model.names))
+    added = ", ".join(map(inside, more)) or "other numbers"
+    text = f"with {added} the simulation leaves {errors}; that describes the machine, and names no cause"
     axis = judged.extended.to_axis(problem.axis)
     return Closest(text, axis, more, train.gap, None if held_out is None else held_out.gap, _share(judged))
 

@@ -26,12 +26,14 @@ from emps_design.discrepancy.least_squares import Candidate, Slot, descend
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.discrepancy.records import START_UP
+from emps_design.discrepancy.words import worded
 from emps_design.effects import Effect, get_effect, kind_of
 from emps_design.errors import SimulationError
 from emps_design.quantities import inside
 from emps_design.records import Record
 from emps_design.simulation import Run
 from emps_design.simulation.synthetic import point_to_point
+from emps_design.units import Units
 
 MARGIN = 0.9  # of the record's top speed and acceleration
 EDGE = 0.02  # of its travel, left free at both ends
@@ -277,7 +279,7 @@ class NextExperiment:
     the first two for every safe excitation, the best first, after one step of the fits. ``file`` is the file of the
     reference.
 
-    >>> NextExperiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict()["file"]
+    >>> NextExperiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict(Units())["file"]
     'experiment.csv'
     """
 
@@ -292,8 +294,8 @@ class NextExperiment:
     period: float = 0.0
     file: str | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """The contract's document, without the reference itself."""
+    def to_dict(self, units: Units) -> dict[str, Any]:
+        """The contract's document for an axis with ``units``, without the reference itself."""
         return {
             "program": self.excitation,
             "text": self.text,
@@ -304,7 +306,7 @@ class NextExperiment:
             "between": self.between,
             "file": self.file,
             "menu": self.compared,
-            "units": {"duration": "s", "distance": "N", "over_noise": "standard deviations"},
+            "units": {"duration": "s", "distance": units.unit("N"), "over_noise": "standard deviations"},
         }
 
     @property
@@ -337,7 +339,8 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
         chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, cost)))
         if chosen is not None:
             return chosen
-    return NextExperiment(get_effect(kind_of(named[0])).words.experiment) if named else None
+    units = best.problem.axis.units
+    return NextExperiment(worded(get_effect(kind_of(named[0])), units).words.experiment) if named else None
 
 
 def what_to_record(hypothesis: Hypothesis, over: list[str]) -> NextExperiment:
@@ -510,7 +513,8 @@ def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, limits: np.ndarray) -> bool
 def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str:
     effect, other = apart.effects
     names = f"{inside(effect.label)} from {inside(other.label)}"
-    far = f"{apart.distance:.2g} N rms and {apart.over_noise:.1f} standard deviations of the noise"
+    distance = apart.pair[0].problem.axis.units.quantity(apart.distance, "N", ".2g")
+    far = f"{distance} rms and {apart.over_noise:.1f} standard deviations of the noise"
     if apart.over_noise < needed:
         return (
             f"no motion within what the records show tells {names}: at best ({instruction(excitation)}) they are {far} "

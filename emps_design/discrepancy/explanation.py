@@ -48,14 +48,16 @@ from emps_design.discrepancy.unexplained import (
 )
 from emps_design.discrepancy.unknown_force import MissingForce, missing_force
 from emps_design.discrepancy.verdict import Validation, wrong_numbers
-from emps_design.effects import Effect, Parameter, get_effect, kind_of
+from emps_design.discrepancy.words import changed, filled, label_of, readable
+from emps_design.effects import Effect, Parameter, kind_of
 from emps_design.effects.effect import COULOMB, OFFSET
 from emps_design.errors import RecordError, SimulationError
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.identification.model import LUMP
-from emps_design.quantities import display_unit, inside
+from emps_design.quantities import inside
 from emps_design.records import Record
+from emps_design.units import Units
 
 DRAWS = 19  # of the parameters: with the fitted ones, their range is a 90 % interval
 ELSEWHERE = 0.2  # share of the squared force away from reversals from which only that part is used
@@ -226,7 +228,7 @@ def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
     regions = [region for region in tried if region is not None]
     if not regions:  # no simulation without the effect: it acts wherever the model moves
         regions.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
-    where = where_document(regions[0], regions[1:])
+    where = where_document(regions[0], fitted.problem.axis.units, regions[1:])
     return where if len(fitted.problem.records) == 1 else {**where, "record": record.name}
 
 
@@ -235,8 +237,9 @@ def _note(preparation: Preparation, channel: str, record: int) -> str:
         alone = len(preparation.start.problem.records) == 1
         whose = "training record" if alone else "training records together"
         return f"gap of the {whose}, with the other effects refitted"
-    noise = 1e3 * preparation.laws[record].noise
-    return f"seen in u minus the controller's law, noise {noise:.2g} mV; the force balance holds with it"
+    units = preparation.start.problem.axis.units
+    noise = units.quantity(preparation.laws[record].noise, "mV", ".2g")
+    return f"seen in u minus the controller's law, noise {noise}; the {units.word('force')} balance holds with it"
 
 
 def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[str, Any]]:
@@ -256,7 +259,7 @@ def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[st
             parameter, size, grows = _by_shape(baseline, absorbed, starts, gain)
             side = "or less" if grows else "or more"
         if starts:
-            text = HIDDEN if size is None else f"{_rounded(parameter, size)} {side}"
+            text = HIDDEN if size is None else f"{_rounded(parameter, size, baseline.problem.axis.units)} {side}"
         return {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text}
 
     library = calibration.preparation.library
@@ -266,9 +269,10 @@ def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[st
     return [rows[effect.name] for effect in absent]
 
 
-def _rounded(parameter: Parameter, size: float) -> str:
-    unit, factor = display_unit(size, parameter.unit)
-    return f"{parameter.name.replace('_', ' ')} {float(f'{size * factor:.2g}'):g} {unit}".rstrip()
+def _rounded(parameter: Parameter, size: float, units: Units) -> str:
+    unit, factor = readable(size, parameter.unit, units)
+    name = units.words(parameter.name.replace("_", " "))
+    return f"{name} {float(f'{size * factor:.2g}'):g} {unit}".rstrip()
 
 
 def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
@@ -349,10 +353,13 @@ def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest
     most = most_missed(validation.baseline)
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.calibration.floor, problem.splits[most].used
-    limit = problem.axis.drive.command_limit
     details, named, drawn = side_by_side(  # the longest first
         lambda work, *arguments: work(*arguments),
-        [(_details, validation, before), (findings, validation), (views, before, after, used, floor.force_60hz, limit)],
+        [
+            (_details, validation, before),
+            (findings, validation),
+            (views, before, after, used, floor.force_60hz, problem.axis),
+        ],
     )
     details["warnings"] += rest
     details["rest"] = rest
@@ -410,23 +417,19 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
         "simulation": "inverse model" if extended.problem.follows else "closed loop",
         "candidates": _candidates(validation),
         "parameters": _parameters(validation),
-        "not_excluded": unseen,
+        "not_excluded": [{**row, "unit": axis.units.unit(row["unit"])} for row in unseen],
         "records": _records(validation),
         "held_out": calibration.preparation.confirming.to_dict(),
         "calibration": calibration_in_words(calibration),
-        "assumptions": list(ASSUMPTIONS),
+        "assumptions": [filled(text, axis.units) for text in ASSUMPTIONS],
         "warnings": warnings(validation),
     }
     if validation.verdict in ("nothing-missing", "parameters-only"):
         shown["least_visible"] = least_visible(unseen)
     if validation.verdict == "parameters-only":
-        axis_numbers = axis.mechanics.array()
-        shown["changed"] = ", ".join(
-            f"{q.name.replace('_', ' ')} {axis_numbers[i]:.5g} -> {baseline.model.baseline[i]:.5g} {q.unit}"
-            for i, q in enumerate(BASELINE)
-            if i in wrong_numbers(baseline)
-        )
-    shown["spectrum_over_time"] = spectrum_over_time(missed)
+        numbers = baseline.model.baseline
+        shown["changed"] = changed(axis.mechanics.array(), numbers, wrong_numbers(baseline), axis.units)
+    shown["spectrum_over_time"] = spectrum_over_time(missed, axis.units)
     shown["interrupted"] = outcome.interrupted
     if validation.verdict in ("unnamed", "partly-named"):
         shown["unexplained"] = unexplained(validation)
@@ -453,7 +456,7 @@ def _candidates(validation: Validation) -> list[dict[str, Any]]:
         rows.append(
             {
                 "effect": name,
-                "label": get_effect(kind_of(name)).label,
+                "label": label_of(name, base.problem.axis.units),
                 "gap": None if full is None else force_rms(full),
                 "statistic": gain if full is None else base.cost_fit - full.cost_fit,
                 "threshold": to_beat,
@@ -469,7 +472,8 @@ def _candidates(validation: Validation) -> list[dict[str, Any]]:
 def _parameters(validation: Validation) -> dict[str, Any]:
     """Baseline parameters of the axis file, fitted alone, and beside the effects; None where not determined."""
     direction = validation.outcome.calibration.preparation.direction
-    axis_numbers = validation.extended.problem.axis.mechanics.array()
+    axis = validation.extended.problem.axis
+    axis_numbers = axis.mechanics.array()
     pairs = {
         "baseline": (validation.baseline, validation.outcome.path[0]),
         "extended": (validation.extended, validation.outcome.best),
@@ -482,7 +486,7 @@ def _parameters(validation: Validation) -> dict[str, Any]:
             name: {"value": float(now.model.baseline @ weights), "std": deviation(now, before, -1, place)}
             for name, (now, before) in pairs.items()
         }
-        return {"unit": unit, "axis": float(axis_numbers @ weights), **fitted}
+        return {"unit": axis.units.unit(unit), "axis": float(axis_numbers @ weights), **fitted}
 
     every = np.eye(len(BASELINE))
     table = {quantity.name: entry(quantity.unit, row) for quantity, row in zip(BASELINE, every, strict=True)}

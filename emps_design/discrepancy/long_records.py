@@ -73,12 +73,16 @@ def check_the_rest(
         size = round(PIECE_TIME / record.period)
         pieces = residual[START_UP:][: (residual.size - START_UP) // size * size].reshape(-1, size).std(axis=1)
         usual, most = float(np.median(pieces[: len(searched) // size])), int(np.argmax(pieces))
-        text = f"{head}; over the whole record the model leaves {rounded(float(np.std(residual[START_UP:])))} N"
+        left, largest, usually = (
+            hypothesis.problem.axis.units.quantity(float(size), "N", rounded)
+            for size in (np.std(residual[START_UP:]), pieces[most], usual)
+        )
+        text = f"{head}; over the whole record the model leaves {left}"
         if pieces[most] > rules.UNUSUAL * usual:
             more = True
             text += (
-                f", and {rounded(float(pieces[most]))} N in the {PIECE_TIME:g} s from {most * PIECE_TIME:g} s on, "
-                f"where {rounded(usual)} N are usual: something else is there, or changed; look at it with `fit_time`"
+                f", and {largest} in the {PIECE_TIME:g} s from {most * PIECE_TIME:g} s on, "
+                f"where {usually} are usual: something else is there, or changed; look at it with `fit_time`"
             )
         remarks.append(text)
     return tuple(remarks), more

@@ -31,6 +31,7 @@ from emps_design.discrepancy.records import (
     find_strokes,
     split,
 )
+from emps_design.discrepancy.words import filled, worded
 from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.sizes import sized, sizes
@@ -40,15 +41,17 @@ from emps_design.identification.model import LUMPED
 from emps_design.laws import get_law, law_of, recorded_gains, unit_of
 from emps_design.records import Record
 from emps_design.records.clock import same_period
+from emps_design.units import Units
 
 BLOCK_TIME = 0.02  # s, of the means that show structure
 
 SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, longest for the filters of the missing force
+SLOW = 0.02  # m/s, below which Stribeck friction is seen
 MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
 MOST_SAMPLES = 1_000_000  # 1.7 GB
 ONE_SPEED = (
-    "one speed, one way, and a controller that is not known: mass and friction stay as the axis file says, and of the "
-    "effects only forces with a place or a time are looked for. All others would pass for these, such as "
+    "one speed, one way, and a controller that is not known: {mass} and friction stay as the axis file says, and of "
+    "the effects only {forces} with a place or a time are looked for. All others would pass for these, such as "
     "friction that changes along the travel: record strokes at several speeds to tell them apart"
 )
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
@@ -159,9 +162,10 @@ def _noise(gap: np.ndarray) -> float:
 
 def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
     """The error message, with parameters of the law of ``axis`` that fit the record, or another law that does."""
+    units = axis.units
     text = (
-        f"{record.name}: the voltage follows the axis file's {axis.controller.kind} law nowhere "
-        f"(misses it by {miss:.3g} V rms of {swing:.3g} V)"
+        f"{record.name}: the {units.word('voltage')} follows the axis file's {axis.controller.kind} law nowhere "
+        f"(misses it by {units.quantity(miss, 'V', '.3g')} rms of {units.quantity(swing, 'V', '.3g')})"
     )
     kind = get_law(axis.controller.kind)
     if kind.propose is not None:
@@ -173,7 +177,9 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
             miss_of_fit = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
             if miss_of_fit < rules.LAW_HOLDS * swing:
                 fields = kind.table.model_fields
-                fitting = " and ".join(f"{name} = {v:.5g} {unit_of(fields[name])}" for name, v in proposed.items())
+                fitting = " and ".join(
+                    f"{name} = {v:.5g} {units.unit(unit_of(fields[name]))}" for name, v in proposed.items()
+                )
                 return f"{text}; {fitting} fit it, correct the axis file"
     from emps_design.identification.controller import TOLD, identify_law
 
@@ -205,7 +211,7 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
         if record.period > SLOWEST_PERIOD and not along_motion:
             raise RecordError(
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
-                f"{1e3 * SLOWEST_PERIOD:g} ms: forces are looked at up to {CUTOFF_HZ:g} Hz"
+                f"{1e3 * SLOWEST_PERIOD:g} ms: {axis.units.word('forces')} are looked at up to {CUTOFF_HZ:g} Hz"
             )
         if record.duration < rules.SHORTEST:
             raise RecordError(
@@ -222,10 +228,10 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
         limited = float(np.mean(np.abs(record.u) >= rules.AT_LIMIT * axis.drive.command_limit))
         if limited > rules.SATURATED:
             raise RecordError(
-                f"{record.name}: {100 * limited:.0f} % of the samples are at the voltage limit, expected less than "
-                f"{100 * rules.SATURATED:.0f} %; lower speed or acceleration"
+                f"{record.name}: {100 * limited:.0f} % of the samples are at the {axis.units.word('voltage')} limit, "
+                f"expected less than {100 * rules.SATURATED:.0f} %; lower speed or acceleration"
             )
-        gaps += [f"{record.name}: {text}" for text in (*record.contradictions, *_not_excited(record))]
+        gaps += [f"{record.name}: {text}" for text in (*record.contradictions, *_not_excited(record, axis.units))]
     return gaps
 
 
@@ -266,7 +272,7 @@ def identifiable_at_one_speed(effect: Effect) -> bool:
     return force and effect.over in ("q", "t")
 
 
-def _not_excited(record: Record) -> list[str]:
+def _not_excited(record: Record, units: Units) -> list[str]:
     """What the speeds of ``record`` do not excite, one sentence each."""
     v = np.gradient(record.q_ref, record.period)
     fastest = float(np.abs(v).max())
@@ -275,8 +281,9 @@ def _not_excited(record: Record) -> list[str]:
     if steady.size and np.ptp(steady) < 0.1 * fastest:
         gaps.append("one speed only, so viscous friction and its curvature cannot be told from Coulomb friction")
     moving = np.abs(v) > 0
-    if moving.any() and float(np.mean(np.abs(v[moving]) < 0.02)) < 0.005:
-        gaps.append("hardly any motion below 20 mm/s, so Stribeck friction is seen at reversals only")
+    if moving.any() and float(np.mean(np.abs(v[moving]) < SLOW)) < 0.005:
+        slow = units.quantity(SLOW, "mm/s", ".2g")
+        gaps.append(f"hardly any motion below {slow}, so Stribeck friction is seen at reversals only")
     return gaps
 
 
@@ -430,7 +437,7 @@ def prepare(
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
     factors = sizes(first.q, first.u, first.period, axis.drive.gain)
     lines = (line for effect in library if effect.acts_on(axis.motion) for line in effect.several())
-    library = tuple(sized(line, factors) for line in lines)
+    library = tuple(worded(sized(line, factors), axis.units) for line in lines)
     warnings = check_records(records, axis)
     if dropped:
         warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
@@ -469,7 +476,7 @@ def prepare(
     if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
         library = tuple(filter(identifiable_at_one_speed, library))
-        warnings.append(ONE_SPEED)
+        warnings.append(filled(ONE_SPEED, axis.units))
         direction = 0
     elif direction:
         held = (OFFSET,)

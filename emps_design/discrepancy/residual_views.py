@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.axis import Axis
 from emps_design.discrepancy.records import CUTOFF_HZ
 from emps_design.discrepancy.unknown_force import SLOWEST, MissingForce, near_reversals
 from emps_design.effects import Motion
 from emps_design.effects.guesses import squares_explained, thin
 from emps_design.records import Record
+from emps_design.units import Units
 
 SHARE = 0.8  # of the squared force inside an extent
 LOCAL = 0.3  # share of the range of the record below which an extent is local
@@ -95,18 +97,19 @@ def extent(record: Record, force: np.ndarray, window: np.ndarray, noise: float =
     )
 
 
-def where_document(region: Extent, others: Sequence[Extent] = ()) -> dict[str, Any]:
-    """The contract's ``where`` of an extent, in numbers and words.
+def where_document(region: Extent, units: Units, others: Sequence[Extent] = ()) -> dict[str, Any]:
+    """The contract's ``where`` of an extent, in numbers and in words of an axis with ``units``.
 
     ``others`` are the extents of the same effect with its parameters drawn from their covariance: the range of the ends
     of the intervals is ``confidence``. ``place`` names the coordinate in ``text``.
     """
     slow, fast = region.speed
     forwards, backwards = region.forwards > 1 - SHARE, region.forwards < SHARE
+    below = f"below {units.quantity(fast, 'mm/s', '.3g')}"
     words = {
-        "reversals": f"around reversals, below {1e3 * fast:.3g} mm/s",
-        "speed": f"below {1e3 * fast:.3g} mm/s" if slow < RESTING * fast else _between(region.speed, "mm/s"),
-        "position": _between(region.position, "mm"),
+        "reversals": f"around reversals, {below}",
+        "speed": below if slow < RESTING * fast else _between(region.speed, "mm/s", units),
+        "position": _between(region.position, "mm", units),
         "time": _times(region.time),
         "": "" if forwards and backwards else "all along",
     }[region.place]
@@ -121,7 +124,7 @@ def where_document(region: Extent, others: Sequence[Extent] = ()) -> dict[str, A
         "position": list(region.position),
         "time": [list(interval) for interval in region.time],
         "frequency": list(region.frequency),
-        "force": {"value": region.peak, "unit": "N", "sense": _sense(region.resisting)},
+        "force": {"value": region.peak, "unit": units.unit("N"), "sense": _sense(region.resisting)},
     }
     if others:
         level = 1 - 2 / (len(others) + 1)
@@ -136,8 +139,11 @@ def _sense(resisting: float) -> str:
     return "more" if resisting > 0 else "less"
 
 
-def _between(interval: tuple[float, float], unit: str) -> str:
-    return f"between {1e3 * interval[0]:.4g} and {1e3 * interval[1]:.4g} {unit}"
+def _between(interval: tuple[float, float], unit: str, units: Units) -> str:
+    """The ``interval`` [m or m/s] in text, with ``unit`` mm or mm/s."""
+    shown, factor = units.read(unit)
+    start, stop = (1e3 * factor * end for end in interval)
+    return f"between {start:.4g} and {stop:.4g} {shown}"
 
 
 def _times(intervals: tuple[tuple[float, float], ...]) -> str:
@@ -212,16 +218,16 @@ def views(
     after: MissingForce,
     window: np.ndarray,
     floor: float,
-    command_limit: float,
+    axis: Axis,
     cutoff_hz: float = CUTOFF_HZ,
 ) -> list[View]:
     """Residual force over each quantity it could depend on.
 
-    Velocity, position (both ways), acceleration, motor force, distance of the command from ``command_limit`` [V], time
-    from a reversal, period of position, time, frequency: the missing force of the models before and after, on the
+    Velocity, position (both ways), acceleration, motor force, distance of the command from the limit of the ``axis``,
+    time from a reversal, period of position, time, frequency: the missing force of the models before and after, on the
     samples of ``window`` (n,) bool; ``floor`` [N] is the noise, low-passed at ``cutoff_hz`` [Hz].
     """
-    motion = before.motion
+    motion, motor_force = before.motion, f"motor {axis.units.word('force')}"
     pairs = (before.force, after.force)
     # Low-passed at the cutoff, a signal has two independent values in each period of it.
     noise = floor / np.sqrt(2 * cutoff_hz * motion.period)
@@ -231,12 +237,11 @@ def views(
         if moving.sum() > 200:
             result.append(_binned("position", "m", motion.q, pairs, moving, noise, 60, title))
     result.append(_binned("acceleration", "m/s^2", motion.a, pairs, window, noise, 41))
-    result.append(_binned("motor force", "N", before.motion.tau, pairs, window, noise, 41))
-    spare = command_limit - np.abs(np.asarray(motion.voltage))
+    result.append(_binned(motor_force, "N", before.motion.tau, pairs, window, noise, 41))
+    left = f"{axis.units.word('voltage')} left to the limit"
+    spare = axis.drive.command_limit - np.abs(np.asarray(motion.voltage))
     resisting = tuple(np.sign(motion.tau) * force for force in pairs)
-    result.append(
-        _binned("voltage left to the limit", "V", spare, resisting, window, noise, 41, "along the motor force")
-    )
+    result.append(_binned(left, "V", spare, resisting, window, noise, 41, f"along the {motor_force}"))
     result += _around_reversals(motion, pairs, window, noise)
     result += _periods(motion, pairs, window & before.away)
     result.append(_binned("time", "s", motion.t, pairs, window, noise, 80))
@@ -320,7 +325,7 @@ def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: 
     return View("frequency", "Hz", frequency[kept], amplitudes[0][kept], amplitudes[1][kept], title="rms in each line")
 
 
-def force_map(missing: MissingForce) -> dict[str, Any]:
+def force_map(missing: MissingForce, units: Units) -> dict[str, Any]:
     """Mean missing force [N] over position and velocity, away from reversals; assumes no effect.
 
     ``force`` has one row per velocity; None in cells without samples.
@@ -334,11 +339,11 @@ def force_map(missing: MissingForce) -> dict[str, Any]:
     mean = np.histogram2d(v, q, edges, weights=force)[0] / np.maximum(count, 1)
     centres = [(0.5 * (e[1:] + e[:-1])).tolist() for e in edges]
     rows = [[float(f) if n else None for f, n in zip(*row, strict=True)] for row in zip(mean, count, strict=True)]
-    units = {"velocity": "m/s", "position": "m", "force": "N"}
-    return {"velocity": centres[0], "position": centres[1], "force": rows, "units": units}
+    own = {"velocity": units.unit("m/s"), "position": units.unit("m"), "force": units.unit("N")}
+    return {"velocity": centres[0], "position": centres[1], "force": rows, "units": own}
 
 
-def spectrum_over_time(missing: MissingForce) -> dict[str, Any]:
+def spectrum_over_time(missing: MissingForce, units: Units) -> dict[str, Any]:
     """Rms [N] of the missing force in each line of its spectrum, over time.
 
     ``force`` has one row per frequency.
@@ -351,5 +356,5 @@ def spectrum_over_time(missing: MissingForce) -> dict[str, Any]:
     frequency, time, density = spectrogram(missing.force, rate, nperseg=length, noverlap=overlap)
     kept = (frequency > 0) & (frequency <= HIGHEST_HZ)
     rms = np.sqrt(density[kept] * (frequency[1] - frequency[0]))
-    units = {"time": "s", "frequency": "Hz", "force": "N"}
-    return {"time": time.tolist(), "frequency": frequency[kept].tolist(), "force": rms.tolist(), "units": units}
+    own = {"time": "s", "frequency": "Hz", "force": units.unit("N")}
+    return {"time": time.tolist(), "frequency": frequency[kept].tolist(), "force": rms.tolist(), "units": own}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from emps_design.axis import Axis
@@ -15,8 +16,10 @@ from emps_design.discrepancy.noise_floor import Floor
 from emps_design.discrepancy.residual_views import EVERYWHERE, View as ResidualView
 from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
 from emps_design.discrepancy.view import diagnosis_view
+from emps_design.discrepancy.words import readable
 from emps_design.frequency_response.coupling import ResponseComparison
-from emps_design.quantities import display_unit, inside, rounded
+from emps_design.quantities import inside, rounded
+from emps_design.units import Units
 from emps_design.view import View, Viewed
 
 SCHEMA = "emps-design/diagnosis/1"
@@ -54,36 +57,36 @@ class Finding:
         names = ("effect", "label", *entry, "p_value", "gap_before", "gap_after", "note")
         return {name: entry.get(name, getattr(self, name)) for name in names}
 
-    def in_words(self) -> str:
+    def in_words(self, units: Units) -> str:
         """The finding with its parameters, for a sentence."""
         numbers = ", ".join(
-            f"{name.replace('_', ' ')} {in_unit(table['value'], table['std'], table['unit'])}"
+            f"{units.words(name.replace('_', ' '))} {in_unit(table['value'], table['std'], table['unit'], units)}"
             for name, table in self.parameters.items()
             if (table["std"] > 0 or self.channel == "controller") and not table.get("per_record")
         )
         others = f" (or {', '.join(e.replace('_', ' ') for e in self.equivalents)})" if self.equivalents else ""
-        return f"{self.acts()}: {self.label}{others}" + (f", {numbers}" if numbers else "")
+        return f"{self.acts(units)}: {self.label}{others}" + (f", {numbers}" if numbers else "")
 
-    def acts(self) -> str:
+    def acts(self, units: Units) -> str:
         """Where and how strongly it acts, for a sentence."""
         force, place = self.where["force"], self.where["text"]
         much = f"up to {force['value']:.3g} {force['unit']}"
         if self.channel == "controller":
             text = f"the controller adds {much}"
         elif force["sense"] == "more or less":
-            text = f"the motor's force differs from the model's by {much}"
+            text = f"the motor's {units.word('force')} differs from the model's by {much}"
         else:
             text = f"the motor needs {much} {force['sense']} than the model"
         return text if place == EVERYWHERE else f"{place}, {text}"
 
 
-def in_unit(value: float, std: float, unit: str) -> str:
-    """``value +- std`` in a readable unit.
+def in_unit(value: float, std: float, unit: str, units: Units) -> str:
+    """``value +- std`` [SI of ``unit``] in a readable unit of an axis.
 
-    >>> in_unit(0.0016, 2e-6, "s")
-    '1.600 +- 0.002 ms'
+    >>> in_unit(0.0016, 2e-6, "s", Units()), in_unit(0.02, 1e-6, "m", Units("rotary"))
+    ('1.600 +- 0.002 ms', '1.14592 +- 0.00006 deg')
     """
-    shown, factor = display_unit(value, unit)
+    shown, factor = readable(value, unit, units)
     if std <= 0:
         return f"{value * factor:.4g} {shown}".rstrip()
     places = max(0, -math.floor(math.log10(std * factor)))
@@ -130,14 +133,19 @@ class Diagnosis(Viewed):
     @property
     def _answer(self) -> str:
         judged, where = (self.holdout, "held-out") if self.holdout else (self.train, "training")
-        remaining, noise = rounded(judged.extended), rounded(self.floor)
-        gap = f"{where} force error {rounded(judged.baseline)} N -> {remaining} N, noise {noise} N"
+        units, force = self.axis.units, partial(self.axis.units.quantity, base="N", spec=rounded)
+        before, remaining, noise = map(force, (judged.baseline, judged.extended, self.floor))
+        error = f"{units.word('force')} error"
+        gap = f"{where} {error} {before} -> {remaining}, noise {noise}"
         if self.verdict in ("named", "ambiguous", "partly-named"):
             if len(self.findings) <= MOST_IN_FULL:
-                text = "; ".join(finding.in_words() for finding in self.findings)
+                text = "; ".join(finding.in_words(units) for finding in self.findings)
             else:
                 text = f"{len(self.findings)} effects are missing: "
-                text += ", ".join(f"{inside(f.label)} (up to {f.where['force']['value']:.3g} N)" for f in self.findings)
+                text += ", ".join(
+                    f"{inside(f.label)} (up to {units.quantity(f.where['force']['value'], 'N', '.3g')})"
+                    for f in self.findings
+                )
             rest = ""
             if self.verdict == "partly-named":
                 rest = f" Something else is missing that no effect explains: {self.details['unexplained']['text']}."
@@ -148,28 +156,28 @@ class Diagnosis(Viewed):
             unexplained = self.details["unexplained"]
             place = unexplained["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
-            known = "".join(f"{finding.in_words()}; " for finding in self.findings)  # from the controller's law
-            missed = f"{remaining} N"
+            known = "".join(f"{finding.in_words(units)}; " for finding in self.findings)  # from the controller's law
+            missed = remaining
             if self.holdout is not None:
                 part = "record" if self.trace.window is None else "part"
                 sides = (
-                    f"{remaining} N of the held-out {part}",
-                    f"{rounded(self.train.extended)} N of the training {part}",
+                    f"{remaining} of the held-out {part}",
+                    f"{force(self.train.extended)} of the training {part}",
                 )
                 missed = ", ".join(sides if unexplained["record"] == "holdout" else sides[::-1])
             text = f"{known}{'beside that ' if known else ''}the model misses {missed}"
-            text = f"{text[0].upper()}{text[1:]} (noise {noise} N){where}, and no effect of the library explains it"
+            text = f"{text[0].upper()}{text[1:]} (noise {noise}){where}, and no effect of the library explains it"
             if "law_gap" in unexplained:
-                text += f", nor {rounded(unexplained['law_gap'])} V rms {FROM_THE_LAW}"
+                text += f", nor {units.quantity(unexplained['law_gap'], 'V', rounded)} rms {FROM_THE_LAW}"
             if unexplained["kind"]:
-                text += f"; {like(unexplained['kind'], unexplained['kind_leaves'])}"
+                text += f"; {like(unexplained['kind'], unexplained['kind_leaves'], units)}"
             return f"{text}."
         least = self.details.get("least_visible")
         rest = f"; an effect of {least} or more would have been seen" if least else ""
         if self.verdict == "parameters-only":
             changed = self.details.get("changed", "")
             return f"Only the numbers of the axis file are off ({changed}); {gap}{rest}."
-        return f"Nothing is missing from the model: force error {rounded(judged.baseline)} N, noise {noise} N{rest}."
+        return f"Nothing is missing from the model: {error} {before}, noise {noise}{rest}."
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's document, with further entries for the report where known.
@@ -190,9 +198,10 @@ class Diagnosis(Viewed):
         | ``calibration`` | str, how the threshold was found |
         | ``assumptions``, ``warnings`` | [str] |
         """
+        unit = self.axis.units.unit("N")
         judged = {"train": self.train} | ({} if self.holdout is None else {"holdout": self.holdout})
         gap, inverse = (
-            {"unit": "N", **self.noise.to_dict(measure)} | {part: g.to_dict(measure) for part, g in judged.items()}
+            {"unit": unit, **self.noise.to_dict(measure)} | {part: g.to_dict(measure) for part, g in judged.items()}
             for measure in ("", "_60hz")
         )
         shown = {k: v for k, v in self.details.items() if k not in ("least_visible", "changed", "rest")}
@@ -206,9 +215,9 @@ class Diagnosis(Viewed):
             "model_file": self.model_file,
             # Once for all lines of a ripple.
             "remedies": list(dict.fromkeys(f.remedy for f in self.findings if f.remedy)),
-            "experiment": None if self.experiment is None else self.experiment.to_dict(),
+            "experiment": None if self.experiment is None else self.experiment.to_dict(self.axis.units),
             **({} if self.response is None else {"response": self.response.to_dict()}),
-            **({} if self.closest is None else {"closest": self.closest.to_dict(self.model_file is not None)}),
+            **({} if self.closest is None else {"closest": self.closest.to_dict(unit, self.model_file is not None)}),
             **shown,
         }
 

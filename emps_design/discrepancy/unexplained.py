@@ -18,19 +18,21 @@ from emps_design.discrepancy.problem import Hypothesis
 from emps_design.discrepancy.residual_views import EVERYWHERE, extent, force_map, where_document
 from emps_design.discrepancy.unknown_force import SLOWEST, MissingForce, missing_force, since_reversal
 from emps_design.discrepancy.verdict import Validation
-from emps_design.effects import get_effect, kind_of
-from emps_design.quantities import inside, rounded, share_asked
+from emps_design.discrepancy.words import filled, listed
+from emps_design.quantities import rounded, share_asked
+from emps_design.units import Units
 
 GAIN_KNOWN = (
-    "the force gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else"
+    "the {force} gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else"
 )
 ONE_FORCE = (
-    "a Coulomb asymmetry and a constant force are one and the same in any record, and both are the constant force here"
+    "a Coulomb asymmetry and a constant {force} are one and the same in any record, and both are the constant {force} "
+    "here"
 )
-ASSUMPTIONS = (GAIN_KNOWN, "the drive holds each voltage over the period that follows its sample", ONE_FORCE)
+ASSUMPTIONS = (GAIN_KNOWN, "the drive holds each {voltage} over the period that follows its sample", ONE_FORCE)
 FOLLOWED = (
-    "the controller is not known: the models follow the recorded motion and voltage, and what the controller itself "
-    "adds to the voltage cannot be checked"
+    "the controller is not known: the models follow the recorded motion and {voltage}, and what the controller itself "
+    "adds to the {voltage} cannot be checked"
 )
 
 DEGREE = 8  # of the polynomials in one variable
@@ -63,18 +65,18 @@ def warnings(validation: Validation) -> list[str]:
         remarks += _of_holdout(validation, preparation.held_out)
     for index, effect in enumerate(validation.extended.model.effects):
         remarks += [f"{effect.label}: {text}" for text in earlier_instants(validation, index)]
+    units = validation.extended.problem.axis.units
+    given_up = listed(validation.given_up, units)
     if validation.in_free_run:
-        before, after = map(rounded, validation.in_free_run)
-        labels = ", ".join(inside(get_effect(kind_of(name)).label) for name in validation.given_up)
+        before, after = (units.quantity(error, "m/s", rounded) for error in validation.in_free_run)
         remarks.append(
-            f"a model with {labels} follows the record, but driven by the recorded command alone it misses the "
-            f"velocity by {after} m/s rms, more than the {before} m/s without: it does not stand"
+            f"a model with {given_up} follows the record, but driven by the recorded command alone it misses the "
+            f"velocity by {after} rms, more than the {before} without: it does not stand"
         )
     elif validation.given_up:
-        labels = ", ".join(inside(get_effect(kind_of(name)).label) for name in validation.given_up)
         remarks.append(
-            f"a model with {labels} explains {100 * validation.share:.0f} % of the gap, and does not stand: too little "
-            "of it, not on both records, or too many others would do"
+            f"a model with {given_up} explains {100 * validation.share:.0f} % of the gap, and does not stand: too "
+            "little of it, not on both records, or too many others would do"
         )
     return remarks
 
@@ -99,8 +101,9 @@ def earlier_instants(validation: Validation, index: int) -> list[str]:
 
 def _limits(validation: Validation) -> list[str]:
     calibration, extended = validation.outcome.calibration, validation.extended
-    floor = calibration.floor
-    remarks = [FOLLOWED] if extended.problem.follows else []
+    floor, units = calibration.floor, extended.problem.axis.units
+    remarks = [filled(FOLLOWED, units)] if extended.problem.follows else []
+    left = units.quantity(force_rms(extended), "N", rounded)
     if not floor.from_laps:
         remarks.append(
             f"noise is {floor.source}, not what differs between laps: what is unlike all candidates, and differs "
@@ -108,14 +111,14 @@ def _limits(validation: Validation) -> list[str]:
         )
     if validation.verdict in ("named", "ambiguous") and calibration.judge.leaves_structure(extended):
         remarks.append(
-            f"structure remains after the last finding: {rounded(force_rms(extended))} N where noise is "
-            f"{rounded(floor.force)} N; no further effect of the library is clear enough to name"
+            f"structure remains after the last finding: {left} where noise is "
+            f"{units.quantity(floor.force, 'N', rounded)}; no further effect of the library is clear enough to name"
         )
     if validation.verdict == "unnamed":
+        least = units.quantity(force_rms(validation.outcome.path[0]), "N", rounded)
         remarks.append(
-            "mass and friction are estimated so that the structure that is left pulls little at them: they leave "
-            f"{rounded(force_rms(extended))} N, where plain least squares would bend them to leave "
-            f"{rounded(force_rms(validation.outcome.path[0]))} N"
+            f"{units.word('mass')} and friction are estimated so that the structure that is left pulls little at them: "
+            f"they leave {left}, where plain least squares would bend them to leave {least}"
         )
     if calibration.preparation.unexplained_law:
         remarks.append("the controller's law has a gap that no effect explains, taken as known: see u minus the law")
@@ -123,14 +126,15 @@ def _limits(validation: Validation) -> list[str]:
 
 
 def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
+    units = validation.extended.problem.axis.units
     remarks = [
-        f"{inside(get_effect(kind_of(a.name)).label)} fitted the training record and is withdrawn: the confirming "
+        f"{listed([a.name], units)} fitted the training record and is withdrawn: the confirming "
         f"record asks for {_amount(a)} of it"
         for a in validation.refuted
     ]
     if held_out.added not in ("", *validation.extended.model.names):
-        label = inside(get_effect(held_out.added).label)
-        remarks.append(f"{label} on the confirming record, seen in its voltage: taken as known there, by both models")
+        seen = f"{listed([held_out.added], units)} on the confirming record, seen in its {units.word('voltage')}"
+        remarks.append(f"{seen}: taken as known there, by both models")
     elif held_out.law is not None and held_out.law.unexplained:
         remarks.append("the controller's law has a gap on the confirming record too, taken as known there")
     if validation.held_out is not None and validation.held_out.refitted:
@@ -163,21 +167,24 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     share = remaining**2 / max(judged.gap.baseline**2 - floor**2, remaining**2, 1e-30)
     shares = predicted(validation, confirming=judged is held_out)
     over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
-    problem = shown.problem
-    where = where_document(extent(problem.records[most], shown.residuals()[most], problem.splits[most].used, floor))
+    problem, units = shown.problem, shown.problem.axis.units
+    region = extent(problem.records[most], shown.residuals()[most], problem.splits[most].used, floor)
+    where = where_document(region, units)
     place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
     depends = "it depends on none of position, velocity, time and load alone"
     if over:
         parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
         depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
     if validation.kind:
-        depends = like(validation.kind, validation.kind_leaves)
-    text = f"{remaining:.2g} N rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
+        depends = like(validation.kind, validation.kind_leaves, units)
+    text = (
+        f"{units.quantity(remaining, 'N', '.2g')} rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
+    )
     laws = [law for law in validation.outcome.calibration.preparation.laws if law.unexplained]
     law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
     kind_leaves = {"kind_leaves": validation.kind_leaves} if validation.kind else {}
     if laws:
-        text += f", and {rounded(law_gap['law_gap'])} V rms {FROM_THE_LAW}"
+        text += f", and {units.quantity(law_gap['law_gap'], 'V', rounded)} rms {FROM_THE_LAW}"
     return {
         **law_gap,
         **kind_leaves,
@@ -190,17 +197,17 @@ def unexplained(validation: Validation) -> dict[str, Any]:
         "place": where["text"],
         "kind": validation.kind,
         "record": "train" if shown is validation.extended else "holdout",
-        "map": force_map(missing_force(shown)[most]),
+        "map": force_map(missing_force(shown)[most], units),
     }
 
 
-def like(kind: str, leaves: float) -> str:
+def like(kind: str, leaves: float, units: Units) -> str:
     """Text for a residual that an unknown force of a ``kind`` reduces to ``leaves`` [N], noise included.
 
-    >>> like("friction that remembers the motion before", 0.5)
+    >>> like("friction that remembers the motion before", 0.5, Units())
     'it is like friction that remembers the motion before, with which 0.50 N would be left'
     """
-    return f"it is like {kind}, with which {rounded(leaves)} N would be left"
+    return f"it is like {kind}, with which {units.quantity(leaves, 'N', rounded)} would be left"
 
 
 def _where_it_shows(validation: Validation) -> Hypothesis:

@@ -1,0 +1,76 @@
+"""Words and numbers of a diagnosis in the units of the axis at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from emps_design.discrepancy.least_squares import BASELINE
+from emps_design.effects import Effect, get_effect, kind_of
+from emps_design.quantities import display_unit, inside
+from emps_design.units import Units
+
+
+def filled(text: str, units: Units) -> str:
+    """``text`` with {mass}, {force}, {forces} and {voltage} in the words of an axis.
+
+    >>> filled("each {voltage} and the {forces}", Units("rotary", "current", "A"))
+    'each current and the torques'
+    """
+    return text.format(**{name: units.word(name) for name in ("mass", "force", "forces", "voltage")})
+
+
+def worded(effect: Effect, units: Units) -> Effect:
+    """The ``effect`` with its label, experiment and remedy in the words of an axis.
+
+    >>> worded(get_effect("external_force"), Units("rotary", "current", "A")).label
+    'External torque'
+    """
+    if units.plain:
+        return effect
+    own = effect.words
+    words = replace(own, experiment=units.words(own.experiment), remedy=units.words(own.remedy))
+    return replace(effect, label=units.words(effect.label), words=words)
+
+
+def label_of(name: str, units: Units) -> str:
+    """The label of the effect ``name``, or of the one that it is a line of, in the words of an axis."""
+    return units.words(get_effect(kind_of(name)).label)
+
+
+def listed(names: Sequence[str], units: Units) -> str:
+    """The labels of the effects ``names``, for a sentence.
+
+    >>> listed(("mass_change", "backlash"), Units("rotary"))
+    'inertia change, backlash'
+    """
+    return ", ".join(inside(label_of(name, units)) for name in names)
+
+
+def readable(size: float, base: str, units: Units) -> tuple[str, float]:
+    """The unit in which ``size`` [SI of ``base``] is easy to read on an axis, and the factor to it.
+
+    >>> joint = Units("rotary", "current", "A")
+    >>> readable(0.0123, "V", joint), readable(0.0123, "V", Units()), readable(2e-3, "s", joint)
+    (('mA', 1000.0), ('mV', 1000.0), ('ms', 1000.0))
+    >>> readable(0.25, "m", joint)[0], readable(12.0, "N", joint)
+    ('deg', ('N m', 1.0))
+    """
+    name, factor = display_unit(size, base)
+    unit, more = units.read(name)
+    return unit, factor * more
+
+
+def changed(before: np.ndarray, after: np.ndarray, places: Sequence[int], units: Units) -> str:
+    """The numbers of the axis file ``before`` (4,) and what they are ``after``, at ``places`` of ``BASELINE``.
+
+    >>> changed(np.array([1.15, 8.0, 7.0, 0.0]), np.array([1.2, 8.0, 7.1, 0.0]), [0, 2], Units("rotary"))
+    'inertia 1.15 -> 1.2 kg m^2, coulomb 7 -> 7.1 N m'
+    """
+    return ", ".join(
+        f"{units.words(BASELINE[i].name.replace('_', ' '))} {before[i]:.5g} -> "
+        f"{units.quantity(float(after[i]), BASELINE[i].unit, '.5g')}"
+        for i in sorted(places)
+    )
