@@ -53,7 +53,7 @@ EFFECT = Effect(
     ),
     words=Words(
         where="one line in the spectrum over position, at every speed with the same amplitude",
-        experiment="two slow constant-velocity strokes at different speeds: the period stays in mm and the force in N",
+        experiment="two slow constant-velocity strokes at different speeds: the period and the force stay the same",
         remedy="feed the ripple forward from position, or keep k v / period away from the loop's resonances",
     ),
     claims=Claims(parity="even", passive=True),

@@ -46,7 +46,7 @@ EFFECT = Effect(
     search=Search(confused_with=("stribeck_friction", "backlash", "actuator_deadzone")),
     words=Words(
         where="the first tenths of a millimetre after every reversal",
-        experiment="small sine motion of 10 to 100 um about one position: force over position draws a rounded loop",
+        experiment="small sine motion, below a thousandth of the travel: force over position draws a rounded loop",
         remedy="an integral action that does not hunt: lead it with the spring near reversals, or dither",
     ),
     claims=Claims(passive=True),
