@@ -40,7 +40,7 @@ class Option:
     the flag made of the name. ``parse`` reads the text of the command line; ``read`` makes the value from a name or a
     path and the axis of the request. ``writes`` is the kind of file written to the path, the kinds by suffix, such as
     ``.csv``, or those by the name of each file written to a folder. An option that is ``printed`` changes what is
-    printed, not the document.
+    printed, not the document. A ``hidden`` one is for Python alone.
     """
 
     help: str = ""
@@ -55,13 +55,12 @@ class Option:
     typed: Any = None  # type on the command line, where it is not that of the field
     writes: str | Mapping[str, str] = ""
     printed: bool = False
+    hidden: bool = False
 
 
 def option(default: Any, help: str, **declaration: Any) -> Any:
     """A field of a request; ``declaration`` are the other fields of :class:`Option`, ``default`` ``...`` for none."""
-    return field(
-        default=MISSING if default is ... else default, metadata={OPTION: Option(help, **declaration)}, kw_only=False
-    )
+    return field(default=MISSING if default is ... else default, metadata={OPTION: Option(help, **declaration)})
 
 
 @dataclass(frozen=True)

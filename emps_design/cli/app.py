@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from emps_design import __version__, interrupts
-from emps_design.cli.command import TURNING, register_command
+from emps_design.cli.command import TURNING, module_of, register_command
 from emps_design.cli.output import advice_on_error, begin, print_json, tell
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
 from emps_design.interrupts import STATUS as INTERRUPTED
@@ -173,7 +173,7 @@ def _application(arguments: list[str]) -> typer.Typer:
     app.callback()(root)
     wanted = arguments[0] if arguments else ""
     for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
-        if importlib.util.find_spec(f"emps_design.commands.{name}"):
+        if importlib.util.find_spec(module_of(name)):
             register_command(app, name)
             continue
         module = importlib.import_module(f"emps_design.cli.{name}")

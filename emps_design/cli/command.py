@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from emps_design.axis import Axis
 
 TURNING = "Units are those of a linear axis. For one that turns read kg m^2 for kg, N m for N and rad for m."
+ABOVE = {"studio": "emps_design.studio.command"}  # a command whose room lies above the commands
 # Options that every command has, and those of a command that writes a file.
 COMMON = {
     "as_json": ("--json", "one JSON document on standard output"),
@@ -35,10 +36,12 @@ def register_command(app: typer.Typer, name: str) -> None:
     """Add the command ``name`` to ``app``: its module has one request, and ``answer``."""
     import typer
 
-    module = importlib.import_module(f"emps_design.commands.{name}")
+    module = importlib.import_module(module_of(name))
     kind = request_of(module)
     hints = types_of(kind)
-    parameters = [_parameter(entry, hints[entry.name]) for entry in options_of(kind)]
+    parameters = [
+        _parameter(entry, hints[entry.name]) for entry in options_of(kind) if not entry.metadata[OPTION].hidden
+    ]
     writes = any(entry.metadata[OPTION].writes for entry in options_of(kind))
     flags = {"force": ("--force", OVERWRITE)} if writes else {}
     parameters += [
@@ -60,6 +63,11 @@ def register_command(app: typer.Typer, name: str) -> None:
     described.__annotations__ = {parameter.name: parameter.annotation for parameter in (first, *parameters)}
     epilog = TURNING if "axis" in hints else None
     app.command(name, help=module.__doc__, epilog=epilog)(command)
+
+
+def module_of(name: str) -> str:
+    """The module of the command ``name``."""
+    return ABOVE.get(name, f"emps_design.commands.{name}")
 
 
 def request_of(module: Any) -> type[Request]:
@@ -121,6 +129,9 @@ def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str
         output.tell(answer.reason)
     if not as_json and advised:
         output.say_advice(document)
+    if answer.then is not None:
+        sys.stdout.flush()
+        answer.then()
     return answer.status
 
 

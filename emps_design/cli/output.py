@@ -60,7 +60,7 @@ FLAGS_OF = {
     "report": {
         "cutoff": "--cutoff of 'identify'",
         "external_force='known'": "--external-force known of 'identify'",
-        "filter": "--record-filter",
+        "filter='hold'": "--record-filter hold",
         "with_": "--with of 'identify'",
     }
 }

@@ -25,6 +25,7 @@ class Reply:
     ``warnings`` go to standard error; those that the view prints are in the document alone. ``advised``: whether the
     document gets advice. ``write`` gets the JSON text with that advice, writes the files of an answer that hold it, and
     may return their folder. ``error`` is raised after the answer is printed: a file that it cannot make, for example.
+    ``then`` runs after the answer is printed, until the user interrupts it.
     """
 
     document: dict[str, Any]
@@ -35,6 +36,7 @@ class Reply:
     advised: bool = True
     write: Callable[[str], str | None] | None = None
     error: EmpsError | None = None
+    then: Callable[[], None] | None = None
 
     @property
     def status(self) -> int:

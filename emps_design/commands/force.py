@@ -83,15 +83,21 @@ def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, str]:
     if crossover is None and request.bandwidth is None:
         if own is not None:
             why = "goes with `crossover` or `bandwidth`; without them the velocity loop is that of the axis file"
-            request.refuse(["phase_margin", "structure", "reference_filter", "filters"], why)
+            request.refuse(["phase_margin_deg", "structure", "reference_filter", "filters"], why)
             structure, filters = own_structure(machine), own_filters(machine)
             loop = VelocityLoopDesign(
                 machine, *own, {}, velocity=request.velocity, structure=structure, filters=filters
             )
             return loop, "velocity loop: gains, structure and filters of the axis file"
         crossover = PAPER
-        note = f"velocity loop: designed for the paper's 100 rad/s crossover and {request.phase_margin:g} deg"
+        note = f"velocity loop: designed for the paper's 100 rad/s crossover and {request.phase_margin_deg:g} deg"
     loop = design_velocity_loop(
-        machine, crossover, request.bandwidth, request.phase_margin, request.velocity, structure, request.wanted_filters
+        machine,
+        crossover,
+        request.bandwidth,
+        request.phase_margin_deg,
+        request.velocity,
+        structure,
+        request.wanted_filters,
     )
     return loop, note

@@ -91,7 +91,7 @@ class GainsRequest(LoadRangeRequest, PositionLoopRequest, VelocityLoopRequest):
         return {
             "crossover": self.crossover,
             "bandwidth": self.bandwidth,
-            "phase_margin_deg": self.phase_margin,
+            "phase_margin_deg": self.phase_margin_deg,
             "velocity": self.velocity,
             "structure": self.wanted_structure,
             "filters": self.wanted_filters,
@@ -104,7 +104,7 @@ def answer(request: GainsRequest) -> Reply:
     from emps_design.control.velocity.specification import check_specification
     from emps_design.control.verdict import DesignVerdict
 
-    check_specification(request.crossover, request.bandwidth, request.phase_margin)
+    check_specification(request.crossover, request.bandwidth, request.phase_margin_deg)
     errors = _errors(request)
     design = _design(request)
     around = request.position_loop(design) if design.sampled.stable else None
@@ -152,7 +152,7 @@ def _retuned(request: GainsRequest) -> VelocityLoopDesign:
         request.frf[0],
         request.machine,
         request.crossover,
-        request.phase_margin,
+        request.phase_margin_deg,
         request.at,
         request.velocity,
         wanted["structure"],
@@ -163,7 +163,7 @@ def _retuned(request: GainsRequest) -> VelocityLoopDesign:
 
 def _suggestion(request: GainsRequest, design: VelocityLoopDesign) -> dict[str, Any]:
     """The filter that makes the loop fastest, and what these gains leave on the table."""
-    margin = request.phase_margin
+    margin = request.phase_margin_deg
     wanted = (request.machine, margin, design.structure, design.filters, request.velocity)
     if request.frf:
         from emps_design.frequency_response.loop import suggest_filter_on_response

@@ -131,7 +131,7 @@ class VelocityLoopRequest(Request):
     axis: Axis = axis_argument("emps2018")
     crossover: float | None = option(None, "crossover w_v of T_vo [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
     bandwidth: float | None = option(None, "closed-loop -3 dB of T_vc [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
-    phase_margin: float = option(60.0, "phase margin phi_v [deg]", unit="deg")
+    phase_margin_deg: float = option(60.0, "phase margin phi_v [deg]", unit="deg", flags=("--phase-margin",))
     structure: str | None = option(None, "ip or pi: proportional to the measured velocity or to the error [the axis's]")
     reference_filter: bool = option(False, "with pi: 1/(1 + t_v s) before the loop")
     filters: tuple[Any, ...] = option(

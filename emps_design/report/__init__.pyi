@@ -14,3 +14,4 @@ from .page import (
     Text as Text,
 )
 from .record import force_figure as force_figure, observation_figure as observation_figure
+from .request import ReportRequest as ReportRequest

@@ -11,22 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.advice import Advice, advise
 from emps_design.axis import Axis
-from emps_design.errors import InputError, nearest_name
 from emps_design.laws import NONE, get_law
-from emps_design.machines import load_axis, machine_names
-from emps_design.progress import Progress, no_progress
+from emps_design.machines import machine_names
 from emps_design.report.design import DesignResults, design_page, design_results
 from emps_design.report.page import Page, Section, quantity
+from emps_design.report.request import MODELS, ReportRequest
+from emps_design.request import takes
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
     from emps_design.control.nested_loops import NestedLoop
-    from emps_design.control.velocity.gains import Structure
+    from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.frequency_response import FrequencyResponse
     from emps_design.identification.identify import Identification
-    from emps_design.laws.library.cascade import Filter
-    from emps_design.records import Record
 
-DESIGN_ON = ("record", "axis")
 K_E1, WALL, OF_MASS = 0.01, 1e4, 100.0  # (m/s)/N, N/m, kg: defaults of a force loop for an axis of that mass
 
 
@@ -95,38 +93,27 @@ class Report:
         return document
 
 
-def assemble_report(
-    axis: str | Axis | None = None,
-    record: str | Path | Record | None = None,
-    crossover: float | None = None,
-    bandwidth: float | None = None,
-    phase_margin_deg: float = 60.0,
-    design_on: str | None = None,
-    model: str = "symmetric",
-    chain: str | None = None,
-    k_e1: float | None = None,
-    hand: float | None = None,
-    environment: float | None = None,
-    mass: float | None = None,
-    damping: float | None = None,
-    filter: float | None = None,
-    mismatch: float = 0.02,
-    retune: bool = False,
-    frf: str | Path | None = None,
-    structure: Structure | None = None,
-    filters: tuple[Filter, ...] | None = None,
-    record_axis: Axis | None = None,
-    progress: Progress | None = None,
-) -> Report:
-    """Design the loops of ``axis``, or of the axis identified from ``record``, and return the page with the results.
+@dataclass(frozen=True)
+class _Basis:
+    """The axis that the loops are designed on, and what the record says of it."""
+
+    axis: Axis
+    identifications: tuple[Identification, ...] = ()
+    sections: tuple[Section, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@takes(ReportRequest)
+def assemble_report(request: ReportRequest) -> Report:
+    """Design the loops of an axis, or of the axis identified from a record, and return the page with the results.
 
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
     ``design_on``: "record" takes the mechanics identified from the record (the default if no axis is named), "axis"
     those of the axis. ``record_axis`` is the axis of the record if that is another: the record is identified with its
-    drive, and left out if its units differ. ``model`` of friction and filter ``chain`` are those of ``identify``.
+    drive, and left out if its units differ. ``model`` of friction and ``record_filter`` are those of ``identify``.
     ``crossover`` or ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification in the
-    sampled loop; ``structure`` and ``filters`` default to those of the axis's controller. ``frf`` is the file of a
-    measured response, shown beside the model as the first picture.
+    sampled loop; ``structure`` and ``filters`` default to those of the controller. ``frf`` is the file of a measured
+    response, shown beside the model as the first picture.
 
     The force loop has a section if ``k_e1`` [(m/s)/N], ``hand`` [N/(m/s)] or ``environment`` [N/m] is given, or the
     axis's controller has a k_e1; missing ones are 0.01 (m/s)/N and a wall of 1e4 N/m for a mass of 100 kg, else in
@@ -138,107 +125,146 @@ def assemble_report(
     >>> report.results.velocity.axis.name, round(report.results.velocity.k_v1, 2)
     ('emps2018', 556.77)
     """
-    tell = progress or no_progress
-    if design_on not in (None, *DESIGN_ON):
-        raise InputError(
-            f"`design_on`: found {design_on!r}, expected {' or '.join(DESIGN_ON)}{nearest_name(design_on, DESIGN_ON)}"
-        )
-    if record is None and design_on == "record":
-        raise InputError("`design_on`: found 'record' without a record; give one with `record`")
-    if (mass is None) != (damping is None):
-        raise InputError("impedance law: found one of mass and damping, expected both [kg, N/(m/s)] or neither")
-    design_on = design_on or ("record" if axis is None and record is not None else "axis")
-    named = axis if axis is not None else ("emps2018" if record is None else "emps2019")
-    loaded = named if isinstance(named, Axis) else load_axis(named)
-    inputs: dict[str, str | None] = {_input_name(named): _digest(named)}
+    from emps_design.control.velocity.design import check_specification
 
-    from emps_design.control.velocity.design import check_specification, design_velocity_loop
-
-    check_specification(crossover, bandwidth, phase_margin_deg)  # before the record is read
-    parts: list[Section] = []
-    response = None
-    if frf is not None:
-        from emps_design.frequency_response import read_response
-
-        response = read_response(frf)
-        inputs[Path(frf).name] = hashlib.sha256(Path(frf).read_bytes()).hexdigest()
-    notes: list[str] = []
-    identifications: tuple[Identification, ...] = ()
-    if record is not None and record_axis is not None and record_axis.units != loaded.units:
-        notes.append(f"The record was made on {record_axis.name}, an axis with other units: this page leaves it out.")
-    elif record is not None:
-        tell("reading the record", 0.05)
-        other = record_axis if design_on == "axis" else None
-        made_on, identifications, section = _from_record(record, other or loaded, model, chain, design_on, inputs, tell)
-        loaded = loaded if design_on == "axis" else made_on
-        parts.append(section)
-        notes.append(_basis(loaded, identifications[0], design_on, made_on.name))
+    check_specification(request.crossover, request.bandwidth, request.phase_margin_deg)  # before the record is read
+    tell, inputs = request.progress, _inputs(request)
+    response = _response(request, inputs)
+    basis = _basis(request, inputs)
+    axis, notes = basis.axis, basis.notes
     tell("designing the loops", 0.4)
-    around, taken = _force_loop(loaded, k_e1, hand, environment)
-    notes += [f"Force loop: {taken}, not asked for."] if taken else []
-    law: dict[str, Any] = {"structure": structure, "filters": filters}
-    if retune:
-        from emps_design.control.velocity.limits import retune_velocity_loop
-
-        velocity = retune_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
-    else:
-        velocity = design_velocity_loop(loaded, crossover, bandwidth, phase_margin_deg, **law)
+    around, taken = _force_loop(axis, request)
+    notes += (f"Force loop: {taken}, not asked for.",) if taken else ()
+    velocity = _velocity_loop(axis, request)
     measured = None
     if response is not None:
         from emps_design.frequency_response.coupling import ResponseComparison
         from emps_design.report.loop_figures import response_section
 
-        measured = response_section(ResponseComparison(response, loaded))
-    assessed = None
-    stops: tuple[str, ...] = ()
-    cautions: tuple[str, ...] = ()
-    controller = loaded.controller
-    if mass is None and has_impedance_law(loaded):
-        mass, damping = controller.mass, controller.damping
-    if mass is not None and damping is not None:
-        from emps_design.comanipulation.assessment import assess_impedance
-        from emps_design.comanipulation.study import CALM
-        from emps_design.report.impedance import impedance_section, refusal
+        measured = response_section(ResponseComparison(response, axis))
+    parts, assessed = basis.sections, None
+    said: dict[str, Any] = {"notes": notes}
+    if request.apparent is not None:
+        from emps_design.report.impedance import impedance_section
 
         tell("trying the impedance law", 0.45)
-        assessed = assess_impedance(loaded, mass, damping, mismatch, filter)
-        parts.append(impedance_section(assessed))
-        stops = () if assessed.stable else (refusal(assessed),)
-        if assessed.verdict in CALM:
-            notes.append(f"Impedance law, {assessed.headline}.")
-        elif assessed.stable:
-            cautions = (f"impedance law, {assessed.headline}",)
+        assessed = _impedance_law(axis, request)
+        parts += (impedance_section(assessed),)
+        said = _judged(assessed)
+        said["notes"] = notes + said["notes"]
     loops: tuple[NestedLoop, ...] = ()
-    if controller.kind != NONE and get_law(controller.kind).loops:
+    if axis.controller.kind != NONE and get_law(axis.controller.kind).loops:
         from emps_design.control.nested_loops import nested_loops
         from emps_design.report.velocity import controller_section
 
-        loops = nested_loops(loaded)
-        parts.append(controller_section(loops, velocity.kept_loops))
-    results = design_results(
-        velocity,
-        *around,
-        inputs=inputs,
-        parts=tuple(parts),
-        measured=measured,
-        notes=tuple(notes),
-        stops=stops,
-        cautions=cautions,
-    )
+        loops = nested_loops(axis)
+        parts += (controller_section(loops, velocity.kept_loops),)
+    results = design_results(velocity, *around, inputs=inputs, parts=parts, measured=measured, **said)
     tell("drawing", 0.6)
-    warnings = [warning for fit in identifications for warning in fit.warnings]
+    warnings = [warning for fit in basis.identifications for warning in fit.warnings]
     warnings += [*results.verdict.warnings, *velocity.warnings]
     warnings += results.force.warnings if results.force else ()
     warnings += assessed.to_dict()["warnings"] if assessed else []
-    report = Report(results, assessed, identifications, tuple(dict.fromkeys(warnings)), loops)
+    report = Report(results, assessed, basis.identifications, tuple(dict.fromkeys(warnings)), loops)
     _ = report.page
     tell("writing", 0.95)
     return report
 
 
-def has_impedance_law(axis: Axis) -> bool:
-    """Whether the controller of ``axis`` is an impedance law."""
-    return axis.controller.kind != NONE and bool(get_law(axis.controller.kind).apparent)
+def _inputs(request: ReportRequest) -> dict[str, str | None]:
+    """Name and SHA-256 of the axis: of its file, or of the TOML of an :class:`Axis`; None for an embedded machine."""
+    named = request.sources.get("axis", request.axis) or request.default_name
+    if isinstance(named, Axis):
+        return {f"axis {named.name}": hashlib.sha256(named.to_toml().encode()).hexdigest()}
+    if named in machine_names():
+        return {named: None}
+    return {Path(named).name: _digest(named)}
+
+
+def _digest(path: str | Path) -> str:
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _response(request: ReportRequest, inputs: dict[str, str | None]) -> FrequencyResponse | None:
+    """The measured response, or None; its file is added to ``inputs``."""
+    if request.frf is None:
+        return None
+    from emps_design.frequency_response import read_response
+
+    response = read_response(request.frf)
+    inputs[Path(request.frf).name] = _digest(request.frf)
+    return response
+
+
+def _basis(request: ReportRequest, inputs: dict[str, str | None]) -> _Basis:
+    """The axis that the design is on, after the record, if any, was identified; the record is added to ``inputs``."""
+    axis, made_on = request.machine, request.record_axis
+    if request.record is None:
+        return _Basis(axis)
+    if made_on is not None and made_on.units != axis.units:
+        left_out = f"The record was made on {made_on.name}, an axis with other units: this page leaves it out."
+        return _Basis(axis, notes=(left_out,))
+    from emps_design.identification.chains import DEFAULT_CHAIN
+    from emps_design.identification.identify import identify
+    from emps_design.importing import import_record
+    from emps_design.records import Record
+    from emps_design.report.record import record_section
+
+    request.progress("reading the record", 0.05)
+    own = axis if made_on is None or request.base == "record" else made_on
+    record, is_read = request.record, isinstance(request.record, Record)
+    record = record if is_read else import_record(record, own)
+    inputs[record.name if is_read else Path(request.record).name] = record.sha256
+    request.progress("identifying", 0.15)
+    models = (request.model, *(name for name in MODELS if name != request.model))
+    identifications = tuple(
+        identify(record, own, model=name, filter=request.record_filter or DEFAULT_CHAIN) for name in models
+    )
+    section, first = record_section(record, identifications, own), identifications[0]
+    if request.base == "record":
+        axis = first.to_axis()
+        note = (
+            f"The gains are for the mechanics identified from {first.record} ({first.model} model), with the drive and "
+            f"the sampling of the axis {axis.name}."
+        )
+        return _Basis(axis, identifications, (section,), (note,))
+    shown = "compared with it below" if own.name == axis.name else f"identified below, with the drive of {own.name}"
+    note = f"The gains are for the axis {axis.name} as it is written; {first.record} is {shown}."
+    return _Basis(axis, identifications, (section,), (note,))
+
+
+def _velocity_loop(axis: Axis, request: ReportRequest) -> VelocityLoopDesign:
+    """The velocity loop of the specification, met by the closed forms or, with ``retune``, by the sampled loop."""
+    from emps_design.control.velocity.design import design_velocity_loop
+    from emps_design.control.velocity.limits import retune_velocity_loop
+
+    design = retune_velocity_loop if request.retune else design_velocity_loop
+    return design(
+        axis,
+        request.crossover,
+        request.bandwidth,
+        request.phase_margin_deg,
+        structure=request.structure,
+        filters=request.filters,
+    )
+
+
+def _impedance_law(axis: Axis, request: ReportRequest) -> ImpedanceAssessment:
+    from emps_design.comanipulation.assessment import assess_impedance
+
+    assert request.apparent is not None
+    return assess_impedance(axis, *request.apparent, request.mismatch, request.filter)
+
+
+def _judged(assessed: ImpedanceAssessment) -> dict[str, Any]:
+    """What the summary says of an impedance law: as a note, as a caution, or as what stops it."""
+    from emps_design.comanipulation.study import CALM
+    from emps_design.report.impedance import refusal
+
+    said = {"notes": (), "cautions": (), "stops": () if assessed.stable else (refusal(assessed),)}
+    if assessed.verdict in CALM:
+        return {**said, "notes": (f"Impedance law, {assessed.headline}.",)}
+    return {**said, "cautions": (f"impedance law, {assessed.headline}",) if assessed.stable else ()}
 
 
 def usual_force_loop(axis: Axis) -> tuple[float, float]:
@@ -252,64 +278,18 @@ def usual_force_loop(axis: Axis) -> tuple[float, float]:
     return K_E1 / scale, WALL * scale
 
 
-def _force_loop(
-    axis: Axis, k_e1: float | None, hand: float | None, environment: float | None
-) -> tuple[tuple[float | None, float, float], str]:
+def _force_loop(axis: Axis, request: ReportRequest) -> tuple[tuple[float | None, float, float], str]:
     """Return gain, hand and wall of the force loop, and in words which of them was a default; None for no force loop.
 
     A missing gain is that of the axis, or else the usual one.
     """
-    own = axis.controller.k_e1
-    if k_e1 is None and hand is None and environment is None and own is None:
+    hand, environment, own = request.hand, request.environment, axis.controller.k_e1
+    if request.k_e1 is None and hand is None and environment is None and own is None:
         return (None, 0.0, 0.0), ""
     usual, wall = usual_force_loop(axis)
-    gain, taken = own if k_e1 is None else k_e1, ""
+    gain, taken = own if request.k_e1 is None else request.k_e1, ""
     if gain is None:
         gain, taken = usual, f"a gain of {quantity(usual, '(m/s)/N')} was taken"
     elif hand is None and environment is None:
         environment, taken = wall, f"a wall of {quantity(wall, 'N/m')} was taken"
     return (gain, hand or 0.0, environment or 0.0), taken
-
-
-def _from_record(
-    record: str | Path | Record, axis: Axis, model: str, chain: str | None, design_on: str,
-    inputs: dict[str, str | None], tell: Progress,
-) -> tuple[Axis, tuple[Identification, ...], Section]:  # fmt: skip
-    """Identify ``axis`` from ``record``; return the axis to design on, the identifications, and their section."""
-    from emps_design.identification.chains import DEFAULT_CHAIN
-    from emps_design.identification.identify import identify
-    from emps_design.importing import import_record
-    from emps_design.records import Record
-    from emps_design.report.record import record_section
-
-    read = record if isinstance(record, Record) else import_record(record, axis)
-    inputs[read.name if isinstance(record, Record) else Path(record).name] = read.sha256
-    tell("identifying", 0.15)
-    others = [name for name in ("symmetric", "asymmetric") if name != model]
-    chain = chain or DEFAULT_CHAIN
-    identifications = tuple(identify(read, axis, model=name, filter=chain) for name in (model, *others))
-    section = record_section(read, identifications, axis)
-    return (identifications[0].to_axis() if design_on == "record" else axis), identifications, section
-
-
-def _basis(axis: Axis, identification: Identification, design_on: str, made_on: str) -> str:
-    if design_on == "record":
-        return (
-            f"The gains are for the mechanics identified from {identification.record} ({identification.model} model), "
-            f"with the drive and the sampling of the axis {axis.name}."
-        )
-    shown = "compared with it below" if made_on == axis.name else f"identified below, with the drive of {made_on}"
-    return f"The gains are for the axis {axis.name} as it is written; {identification.record} is {shown}."
-
-
-def _input_name(axis: str | Axis) -> str:
-    if isinstance(axis, Axis):
-        return f"axis {axis.name}"
-    return axis if axis in machine_names() else Path(axis).name
-
-
-def _digest(axis: str | Axis) -> str | None:
-    """Return the SHA-256 of an axis file, or of the TOML of an :class:`Axis`; None for an embedded machine."""
-    if isinstance(axis, Axis):
-        return hashlib.sha256(axis.to_toml().encode()).hexdigest()
-    return None if axis in machine_names() else hashlib.sha256(Path(axis).read_bytes()).hexdigest()

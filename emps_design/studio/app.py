@@ -10,7 +10,6 @@ import hmac
 import secrets
 import socket
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import panel as pn
@@ -230,24 +229,19 @@ class Session:
         self.data.show(self.state)
 
 
-def serve(
-    axis: Axis, record: str | Path | None = None, port: int = 0, ready: Callable[[str], None] | None = None
-) -> None:
-    """Serve the studio on 127.0.0.1 until it is interrupted; call ``ready(address)`` once it listens.
+def serve(axis: Axis, record: Record | None = None, port: int = 0) -> tuple[str, Callable[[], None]]:
+    """Listen on 127.0.0.1; return the address, and what serves the studio there until it is interrupted.
 
-    ``port`` 0 takes a free one. Before serving, raises :class:`RecordError` for a record that cannot be read and
-    :class:`OSError` for a port in use.
+    ``port`` 0 takes a free one. Raises :class:`OSError` for a port in use.
     """
-    from emps_design.importing import import_record
     from emps_design.studio.data_view import LIMIT_MB
 
-    read = None if record is None else import_record(record, axis)
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind((HOST, port))
     prepare()
     server = pn.serve(
-        lambda: page(Session(axis, read).root),
+        lambda: page(Session(axis, record).root),
         port=port,
         address=HOST,
         title=TITLE,
@@ -259,9 +253,11 @@ def serve(
     )
     suffix = guard(server)
     server.start()
-    if ready is not None:
-        ready(f"http://{HOST}:{server.port}{suffix}")
-    try:
-        server.io_loop.start()
-    finally:
-        server.stop()
+
+    def wait() -> None:
+        try:
+            server.io_loop.start()
+        finally:
+            server.stop()
+
+    return f"http://{HOST}:{server.port}{suffix}", wait

@@ -455,7 +455,7 @@ class DataView:
         """Record, axis and filter as arguments of a report; empty without a record."""
         if self.record is None:
             return {}
-        return {"record": self.record, "record_axis": self._axis, "chain": self.filter.value}
+        return {"record": self.record, "record_axis": self._axis, "record_filter": self.filter.value}
 
     def _withdraw(self) -> None:
         """Clear record and result: after a refused upload they would stand under its name."""

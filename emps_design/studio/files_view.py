@@ -17,7 +17,7 @@ from emps_design.errors import EmpsError
 from emps_design.progress import Progress, no_progress, of_part
 from emps_design.report.page import inline
 from emps_design.studio.panes import Job, html, message
-from emps_design.studio.state import State
+from emps_design.studio.state import LABELS, State
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,15 +48,19 @@ def velocity_design(state: State) -> VelocityLoopDesign:
 def report_html(state: State, measured: Mapping[str, Any] | None = None, progress: Progress = no_progress) -> str:
     """Return the page of ``report`` for ``state``, with a section on the record ``measured`` if one is loaded.
 
-    ``measured`` has ``record``, ``record_axis`` and ``chain`` of :func:`~emps_design.report.assemble.assemble_report`.
+    ``measured`` has ``record``, ``record_axis`` and ``record_filter`` of
+    :func:`~emps_design.report.assemble.assemble_report`.
     """
     from emps_design.report.assemble import assemble_report
 
+    of_record = {"design_on": "axis", "model": state.friction, **measured} if measured else {}
     report = assemble_report(
         state.axis,
-        design_on="axis",
-        model=state.friction,
-        **(measured or {}),
+        **of_record,
+        **{state.specification: state.frequency},
+        phase_margin_deg=state.phase_margin_deg,
+        structure=LABELS[state.structure],
+        filters=state.filters,
         k_e1=state.k_e1,
         hand=state.hand,
         environment=state.wall * 1e3,
@@ -65,7 +69,6 @@ def report_html(state: State, measured: Mapping[str, Any] | None = None, progres
         filter=state.filter,
         mismatch=state.mismatch_percent / 100.0,
         progress=progress,
-        **state.requested,
     )
     return report.page.html()
 

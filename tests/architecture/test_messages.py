@@ -3,13 +3,14 @@
 import ast
 import re
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 import typer
 
 from emps_design.cli.app import COMMANDS, _application
-from emps_design.cli.command import request_of
+from emps_design.cli.command import module_of, request_of
 from emps_design.cli.output import FLAGS, FLAGS_OF, in_flags
 from emps_design.request import options_of
 
@@ -37,8 +38,8 @@ def texts(source: str) -> list[str]:
 
 def requests() -> dict[str, list[str]]:
     """The names of the options of every command that has a request."""
-    modules = [path for path in sorted((PACKAGE / "commands").glob("*.py")) if path.stem in COMMANDS]
-    kinds = {path.stem: request_of(import_module(f"emps_design.commands.{path.stem}")) for path in modules}
+    modules = {name: module_of(name) for name in COMMANDS if find_spec(module_of(name))}
+    kinds = {name: request_of(import_module(module)) for name, module in modules.items()}
     return {name: [entry.name for entry in options_of(kind)] for name, kind in kinds.items()}
 
 

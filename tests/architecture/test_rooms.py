@@ -12,6 +12,7 @@ import pytest
 
 from emps_design.cli import app
 from emps_design.cli.app import COMMANDS
+from emps_design.cli.command import module_of
 from emps_design.effects import EFFECTS
 from emps_design.laws import LAWS
 
@@ -108,7 +109,7 @@ def test_gains_with_numbers_given_imports_nothing_heavy():
 
 def test_every_command_of_the_contract_has_its_file():
     for command in COMMANDS:
-        module = PACKAGE / "commands" / f"{command}.py"
+        module = REPOSITORY / f"{module_of(command).replace('.', '/')}.py"
         assert ast.get_docstring(tree(module)), command
         assert "answer" in [node.name for node in tree(module).body if isinstance(node, ast.FunctionDef)], command
 

@@ -53,7 +53,7 @@ EFFECT = Effect(
     search=Search(plausible=plausible, confused_with=("presliding_friction", "actuator_deadzone", "backlash")),
     words=Words(
         where="below a few Stribeck velocities, on both sides of every reversal",
-        experiment="slow constant-velocity strokes at several speeds below a tenth of the highest, and a break-away test",
+        experiment="slow constant-velocity strokes at several speeds up to a tenth of the highest, a break-away test",
         remedy="add the excess to the friction compensation, or keep references away from the low-speed band",
     ),
     claims=Claims(parity="odd", passive=True),

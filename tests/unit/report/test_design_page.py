@@ -167,7 +167,7 @@ def test_a_response_that_does_not_settle_has_no_settling_time():
 
 def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data, sketched):
     record = emps_data / "DATA_EMPS.mat"
-    report = assemble_report(record=record, crossover=100.0, chain="report")
+    report = assemble_report(record=record, crossover=100.0, record_filter="report")
     assert report.results.velocity.axis.mechanics.mass == pytest.approx(95.1089, abs=0.1085)
     html = report.page.html()
     assert "identified from DATA_EMPS" in html
@@ -185,7 +185,7 @@ def test_an_axis_that_is_named_stays_as_it_is(emps_data, undrawn):
 
 def test_bad_combinations_are_refused():
     with pytest.raises(
-        InputError, match="`design_on`: found 'reccord', expected record or axis, did you mean 'record'"
+        InputError, match="`design_on`: found 'reccord', expected one of record, axis, did you mean 'record'"
     ):
         assemble_report("emps2018", crossover=100.0, design_on="reccord")
     with pytest.raises(InputError, match="found 'record' without a record"):

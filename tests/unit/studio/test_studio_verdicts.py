@@ -316,7 +316,7 @@ def test_a_record_is_identified_with_its_own_axis_whatever_is_designed_on(short)
 
 @pytest.mark.study("a whole report")
 def test_a_record_of_other_units_is_left_out_of_the_report_and_the_page_says_so(short):
-    page = files_view.report_html(state(), {"record": RECORD, "record_axis": JOINT, "chain": "paper"})
+    page = files_view.report_html(state(), {"record": RECORD, "record_axis": JOINT, "record_filter": "paper"})
     assert "The record was made on joint, an axis with other units: this page leaves it out." in page
     assert "<h2>Record" not in page
 
@@ -330,7 +330,7 @@ def test_the_report_is_handed_out_with_the_record_its_axis_and_its_filter(at_onc
     assert asyncio.run(button.callback()).read() == b"page"
     session.data._withdraw()
     asyncio.run(button.callback())
-    assert asked == [{"record": RECORD, "record_axis": machine("emps2019"), "chain": "paper"}, {}]
+    assert asked == [{"record": RECORD, "record_axis": machine("emps2019"), "record_filter": "paper"}, {}]
 
 
 def test_what_the_files_tab_says_is_in_the_units_of_the_axis(at_once, monkeypatch):

@@ -1,0 +1,36 @@
+"""The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from emps_design.commands import Reply
+from emps_design.commands.destinations import PAGE
+from emps_design.files import write_aside
+from emps_design.report.request import ReportRequest
+from emps_design.request import option
+from emps_design.view import Line
+
+CROSSOVER = 100.0  # rad/s, of the paper: for a command line without a specification
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageRequest(ReportRequest):
+    """What ``report`` takes: what a report is asked for, and the file of the page."""
+
+    out: Path = option(..., "HTML file to write", writes={".html": PAGE, ".htm": PAGE})
+
+
+def answer(request: PageRequest) -> Reply:
+    """The page, written, and the results that it shows."""
+    from emps_design.report.assemble import assemble_report
+
+    if request.crossover is None and request.bandwidth is None:
+        request = replace(request, crossover=CROSSOVER)
+    with write_aside(request.out) as aside:
+        report = assemble_report(request)
+        aside.write_text(report.page.html(), encoding="utf-8")
+    document = {"out": str(request.out), **report.to_dict()}
+    reason = f"{report.reason}; the page says so first" if report.reason else ""
+    return Reply(document, (Line(str(request.out), "code"),), report.page.units, reason, report.warnings)
