@@ -137,7 +137,8 @@ def test_the_papers_reading():
 
 def test_a_notebook_shows_the_verdict_first():
     html = design_force_loop(LOOP, 0.02, environment=1e4)._repr_html_()
-    assert html.startswith("<p>emps2018: the sampled force loop is UNSTABLE</p>")
+    assert html.startswith('<p class="bad">emps2018: sampled force loop, ')
+    assert html.split("</p>")[0].endswith(" is UNSTABLE")
     assert "0.017395" in html
 
 
@@ -147,7 +148,7 @@ def test_an_unstable_loop_has_no_margins_in_words_either(capsys):
     assert "margins of the sampled force loop: undefined, the loop is unstable" in out
     assert "no crossover" not in out
     html = design_force_loop(LOOP, 0.1, environment=1e4)._repr_html_()
-    assert "<td>gain margin, sampled</td><td>undefined</td>" in html
+    assert "margins of the sampled force loop: undefined, the loop is unstable" in html
 
 
 BENT = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.3}]

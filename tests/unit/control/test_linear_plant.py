@@ -184,8 +184,8 @@ def test_the_other_direction_is_looked_at():
 
 def test_a_notebook_shows_the_verdict_first():
     html = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)._repr_html_()
-    assert html.startswith("<p>emps2018: the sampled loop is stable</p><table>")
-    assert "556.77" in html
+    assert html.startswith('<p class="good">emps2018: sampled velocity loop, IP, is stable</p>\n<table>')
+    assert "556.766" in html
 
 
 def test_a_motion_that_takes_more_than_the_limit_is_told_by_a_name():

@@ -145,7 +145,7 @@ def test_a_law_with_something_no_structure_has_is_close_and_not_told():
 
 
 def test_an_estimator_on_the_command_line():
-    from emps_design.cli.options import estimator_from_text
+    from emps_design.commands.options import estimator_from_text
 
     assert estimator_from_text("tracking:1000") == {"kind": "tracking", "bandwidth": 1000.0}
     with pytest.raises(InputError, match="found 'slope:4.5', expected a whole number after slope:"):
