@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from emps_design.errors import printable
 
 if TYPE_CHECKING:
+    import numpy as np
     from rich.console import Console
     from rich.table import Table as RichTable
 
@@ -132,7 +133,7 @@ def _rich(table: Table) -> RichTable:
     return shown
 
 
-def sparkline(values: Any, width: int = 60) -> str:
+def sparkline(values: np.ndarray, width: int = 60) -> str:
     """The means of ``values`` (n,) drawn in ``width`` characters.
 
     >>> import numpy as np
@@ -141,8 +142,8 @@ def sparkline(values: Any, width: int = 60) -> str:
     """
     import numpy as np
 
-    edges = np.linspace(0, len(values), min(width, len(values)) + 1).astype(int)
-    means = np.array([np.mean(values[a:b]) for a, b in pairwise(edges)])
+    edges = np.linspace(0, values.size, min(width, values.size) + 1).astype(int)
+    means = np.array([values[a:b].mean() for a, b in pairwise(edges)])
     span = float(np.ptp(means))
     heights = np.zeros(means.size) if span == 0.0 else (means - means.min()) / span * (len(BLOCKS) - 1)
     return "".join(BLOCKS[round(height)] for height in heights)

@@ -31,6 +31,7 @@ IGNORED = {
     "identify {record} {record} --holdout {record}": "--holdout: goes with one record",
     "identify {record} --force": "--force: goes with a file to write",
     "observe {record} --force": "--force: goes with a file to write",
+    "import {record} --force": "--force: goes with a file to write",
     "frf {record} --force": "--force: goes with a file to write",
     "excite --stroke 0.5 --speed 0.05 --force": "--force: goes with a file to write",
     "excite --stroke 0.5 --speed 0.05 --steps 20 --seed 1": "--seed: goes without --steps",

@@ -65,7 +65,7 @@ def test_debug_gives_the_traceback(monkeypatch, error):
 
 
 def test_usage_errors_are_one_line(capsys):
-    assert app.run(["init"]) == 2
+    assert app.run(["excite"]) == 2
     assert "see 'emps-design --help'" in capsys.readouterr().err
     assert app.run(["init", "--nonsense"]) == 2
     assert "--nonsense" in capsys.readouterr().err
