@@ -10,14 +10,14 @@ from io import TextIOWrapper
 
 from emps_design import interrupts
 from emps_design.cli.app import run
-from emps_design.cli.output import tell
+from emps_design.cli.output import Terminal
 
 
 def main() -> None:
     """Entry point of ``emps-design``."""
     _open_closed_streams()
     if sys.stdout is None:
-        tell("standard output is closed, expected somewhere to print; > /dev/null prints nowhere")
+        Terminal().tell("standard output is closed, expected somewhere to print; > /dev/null prints nowhere")
         sys.exit(1)
     if "--debug" not in sys.argv and not sys.warnoptions:
         warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such

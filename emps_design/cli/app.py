@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-import importlib
-import importlib.util
-import inspect
 import os
 import sys
-from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 from emps_design import __version__, interrupts
-from emps_design.cli.command import TURNING, module_of, register_command
-from emps_design.cli.output import advice_on_error, begin, print_json, tell
+from emps_design.cli.command import register_command
+from emps_design.cli.output import Terminal
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
 from emps_design.interrupts import STATUS as INTERRUPTED
 
@@ -64,27 +59,27 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments
     as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    begin(arguments)
+    terminal = Terminal(tuple(arguments))
     try:
-        result = _result(arguments)
+        result = _result(arguments, terminal)
         sys.stdout.flush()
         if result == INTERRUPTED:
-            tell("interrupted")
+            terminal.tell("interrupted")
         return result if isinstance(result, int) else 0
     except EmpsError as error:
         if debug:
             raise
         if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
-            print_json(
+            terminal.print_json(
                 {
                     "error": type(error).__name__,
                     "reason": str(error),
                     "nearest": getattr(error, "nearest", {}),
                     "warnings": [str(error)],
-                    "advice": advice_on_error(error),
+                    "advice": terminal.advice_on_error(error),
                 }
             )
-        tell(error)
+        terminal.tell(error)
         return error.exit_code
     except BrokenPipeError:
         _discard_output()  # the reader has closed the pipe (`| head`)
@@ -93,34 +88,36 @@ def run(arguments: list[str]) -> int:
         if debug:
             raise
         _discard_output()  # standard output itself may be full
-        tell(f"{error.filename or 'output'}: {error.strerror or error} (run with --debug for the traceback)")
+        terminal.tell(f"{error.filename or 'output'}: {error.strerror or error} (run with --debug for the traceback)")
         return 1
     except Exception as error:
         # Usage errors and Ctrl-C at a prompt come from click or from typer's copy of it: the names are the same.
         if type(error).__name__ == "Abort":
-            tell("interrupted")
+            terminal.tell("interrupted")
             return INTERRUPTED
         if hasattr(error, "format_message"):
             message = " ".join(error.format_message().split())
             if message:
-                tell(f"{message}; see 'emps-design --help'")
+                terminal.tell(f"{message}; see 'emps-design --help'")
             return 2
         if debug:
             raise
         if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
-            tell(f"{BEYOND} ({type(error).__name__}: {error})")
+            terminal.tell(f"{BEYOND} ({type(error).__name__}: {error})")
             return InputError.exit_code
-        tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
+        terminal.tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
         return 1
     except KeyboardInterrupt:
-        tell("interrupted")
+        terminal.tell("interrupted")
         return INTERRUPTED
 
 
-def _result(arguments: list[str]) -> Any:
+def _result(arguments: list[str], terminal: Terminal) -> Any:
     """Run the command and return what it returns; an error after an interrupt is raised as that interrupt."""
     try:
-        return _application(arguments)(args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False)
+        return _application(arguments, terminal)(
+            args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False
+        )
     except Exception as error:
         if interrupts.interrupted.is_set():  # interrupted compiled code may raise an error of its own
             raise KeyboardInterrupt from error
@@ -133,7 +130,7 @@ def _discard_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _application(arguments: list[str]) -> typer.Typer:
+def _application(arguments: list[str], terminal: Terminal) -> typer.Typer:
     """Return the Typer application with the command that ``arguments`` name, or with all commands if none has the name.
 
     For an option of the program itself, such as ``--help``, no module is imported: :data:`GROUPS` has the sentences.
@@ -173,31 +170,5 @@ def _application(arguments: list[str]) -> typer.Typer:
     app.callback()(root)
     wanted = arguments[0] if arguments else ""
     for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
-        if importlib.util.find_spec(module_of(name)):
-            register_command(app, name)
-            continue
-        module = importlib.import_module(f"emps_design.cli.{name}")
-        about_an_axis = "axis" in inspect.signature(module.command).parameters
-        register = app.command(name, help=module.__doc__, epilog=TURNING if about_an_axis else None)
-        register(_with_debug(module.command))
+        register_command(app, name, terminal)
     return app
-
-
-def _with_debug(command: Callable[..., int | None]) -> Callable[..., int | None]:
-    """Return ``command`` with ``--debug`` in its help; :func:`run` has removed the word from the arguments."""
-    import typer
-
-    @functools.wraps(command)
-    def with_debug(*arguments: Any, debug: bool = False, **options: Any) -> int | None:
-        return command(*arguments, **options)
-
-    hints = get_type_hints(command, include_extras=True)
-    own = [
-        parameter.replace(annotation=hints[name]) for name, parameter in inspect.signature(command).parameters.items()
-    ]
-    option = typer.Option(False, "--debug", help="The traceback of an error.")
-    added = inspect.Parameter("debug", inspect.Parameter.KEYWORD_ONLY, default=option, annotation=bool)
-    described: Any = with_debug
-    described.__signature__ = inspect.Signature([*own, added])
-    described.__annotations__ = {**hints, "debug": bool}
-    return described

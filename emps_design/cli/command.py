@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from emps_design.advice import ADVISED
-from emps_design.cli import output
+from emps_design.cli.output import Terminal
 from emps_design.commands import Reply
 from emps_design.commands.destinations import OVERWRITE, check_folder, check_named_out, check_out
 from emps_design.errors import InputError
 from emps_design.request import OPTION, Option, Request, flags_of, make_request, options_of, types_of
-from emps_design.units import Units
+from emps_design.units import LINEAR
 
 if TYPE_CHECKING:
     import typer
@@ -32,7 +32,7 @@ COMMON = {
 }
 
 
-def register_command(app: typer.Typer, name: str) -> None:
+def register_command(app: typer.Typer, name: str, terminal: Terminal) -> None:
     """Add the command ``name`` to ``app``: its module has one request, and ``answer``."""
     import typer
 
@@ -55,7 +55,7 @@ def register_command(app: typer.Typer, name: str) -> None:
     ]
 
     def command(context: typer.Context, **values: Any) -> int:
-        return _perform(context, name, module, values)
+        return _perform(context, terminal, module, values)
 
     described: Any = command
     first = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
@@ -94,50 +94,57 @@ def _parameter(entry: Field[Any], hint: Any) -> inspect.Parameter:
     )
 
 
-def _perform(context: typer.Context, name: str, module: Any, values: Mapping[str, Any]) -> int:
+def _perform(context: typer.Context, terminal: Terminal, module: Any, values: Mapping[str, Any]) -> int:
     """Make the request from the ``values`` of the command line, answer it and print the answer; its exit status."""
     kind = request_of(module)
-    flags = {entry.name: flags_of(entry)[0] for entry in options_of(kind)}
-    output.set_flags(flags | {"overwrite": "--force"})
-    given = [key for key in flags if _from_words(context, key)]
-    own = {key: value for key, value in values.items() if key in flags and value is not None}
+    terminal.flags = {entry.name: flags_of(entry)[0] for entry in options_of(kind)}
+    given = [key for key in terminal.flags if _from_words(context, key)]
+    own = {key: value for key, value in values.items() if key in terminal.flags and value is not None}
     _check_outputs(kind, own, bool(values.get("force")))
     as_json = values["as_json"]
     if as_json:
         _refuse_printed(kind, given)
-    with output.progress_bar(not as_json or sys.stderr.isatty()) as progress:
+
+    def in_units_of(axis: Axis | None) -> None:
+        terminal.units = LINEAR if axis is None else axis.units
+
+    with terminal.progress() as progress:
         overwrite = bool(values.get("force"))
-        request = make_request(kind, own, given, _speak_of, progress=progress, overwrite=overwrite)
+        request = make_request(kind, own, given, in_units_of, progress=progress, overwrite=overwrite)
         answer: Reply = module.answer(request)
-    document, axis = answer.document, own.get("axis")
-    output.set_units(answer.units)
-    advised = answer.advised and name in ADVISED
-    if advised:
-        records = own.get("records", own.get("record", ()))
-        document = output.add_advice(document, axis, [records] if isinstance(records, str | Path) else records)
-    if answer.write is not None:
-        folder = answer.write(f"{output.json_text(document)}\n")
-        document |= {} if folder is None else {"out": folder}
-    if as_json:
-        output.print_json(document)
-    else:
-        output.print_view(answer.view)
-    output.print_warnings(answer.warnings)
-    if answer.error is not None:
-        raise answer.error
-    if answer.reason:
-        output.tell(answer.reason)
-    if not as_json and advised:
-        output.say_advice(document)
+    terminal.units = answer.units
+    _print(terminal, answer, _with_advice(terminal, answer, own), as_json)
     if answer.then is not None:
         sys.stdout.flush()
         answer.then()
     return answer.status
 
 
-def _speak_of(axis: Axis | None) -> None:
-    """Print in the units of ``axis`` from here on, errors too."""
-    output.set_units(Units() if axis is None else axis.units)
+def _with_advice(terminal: Terminal, answer: Reply, own: Mapping[str, Any]) -> dict[str, Any]:
+    """The document of ``answer`` with its advice, if there is a judge, and with the folder that was written."""
+    document = answer.document
+    if terminal.command in ADVISED:
+        records = _paths(own.get("records", own.get("record")))
+        document = terminal.with_advice(document, own.get("axis"), [str(path) for path in records])
+    if answer.write is not None:
+        folder = answer.write(f"{terminal.json_text(document)}\n")
+        document |= {} if folder is None else {"out": folder}
+    return document
+
+
+def _print(terminal: Terminal, answer: Reply, document: dict[str, Any], as_json: bool) -> None:
+    """Print ``answer``: the document or the view, warnings, the reason not to run it, and the advice."""
+    if as_json:
+        terminal.print_json(document)
+    else:
+        terminal.print_view(answer.view)
+    terminal.print_warnings(answer.warnings)
+    if answer.error is not None:
+        raise answer.error
+    if answer.reason:
+        terminal.tell(answer.reason)
+    if not as_json and "advice" in document:
+        terminal.say_advice(document)
 
 
 def _from_words(context: typer.Context, key: str) -> bool:

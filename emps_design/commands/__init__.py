@@ -22,10 +22,10 @@ class Reply:
     """What a command answers.
 
     ``document`` is the JSON, ``view`` what is printed instead, in ``units``. ``reason`` says why a design must not run.
-    ``warnings`` go to standard error; those that the view prints are in the document alone. ``advised``: whether the
-    document gets advice. ``write`` gets the JSON text with that advice, writes the files of an answer that hold it, and
-    may return their folder. ``error`` is raised after the answer is printed: a file that it cannot make, for example.
-    ``then`` runs after the answer is printed, until the user interrupts it.
+    ``warnings`` go to standard error; those that the view prints are in the document alone. ``write`` gets the
+    JSON text with the advice, writes the files of an answer that hold it, and may return their folder. ``error`` is
+    raised after the answer is printed: a file that it cannot make, for example. ``then`` runs after the answer is
+    printed, until the user interrupts it.
     """
 
     document: dict[str, Any]
@@ -33,7 +33,6 @@ class Reply:
     units: Units
     reason: str = ""
     warnings: tuple[str, ...] = ()
-    advised: bool = True
     write: Callable[[str], str | None] | None = None
     error: EmpsError | None = None
     then: Callable[[], None] | None = None

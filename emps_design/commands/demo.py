@@ -72,7 +72,7 @@ def answer(request: DemoRequest) -> Reply:
         Line(""),
         Line(f"The report, with all figures: {out.resolve()}"),
     )
-    return Reply(document, view, axis.units, warnings=report.warnings, advised=False)
+    return Reply(document, view, axis.units, warnings=report.warnings)
 
 
 def _identified(report: Report, truth: dict[str, float]) -> Table:

@@ -25,7 +25,7 @@ def answer(request: DeriveRequest) -> Reply:
     from emps_design.paper import errata
 
     if request.latex:
-        return Reply({}, (Line(errata.document(), "code"),), Units(), advised=False)
+        return Reply({}, (Line(errata.document(), "code"),), Units())
     from emps_design.laws.friction_model import FrictionModel
     from emps_design.machines import machine
     from emps_design.paper.derivations import derivation
@@ -58,4 +58,4 @@ def answer(request: DeriveRequest) -> Reply:
     ]
     asked = f"What (30) as printed costs on {MACHINE} with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):"
     view = (*errata.view(), Line(""), Line(asked), *costs)
-    return Reply(document, view, Units(), advised=False)
+    return Reply(document, view, Units())

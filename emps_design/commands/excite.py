@@ -42,4 +42,4 @@ def answer(request: ExciteRequest) -> Reply:
     if request.out is not None:
         experiment.save(request.out)
         view += (Line(f"reference and excitation: {request.out}"),)
-    return Reply(experiment.to_dict(), view, request.axis.units, warnings=experiment.warnings, advised=False)
+    return Reply(experiment.to_dict(), view, request.axis.units, warnings=experiment.warnings)

@@ -66,7 +66,7 @@ def answer(request: ExportRequest) -> Reply:
     exported.write(request.out)
     document = {"out": str(request.out), **exported.to_dict()}
     view = (Line(f"{request.out}: {', '.join(exported.files)}"), *exported.view())
-    return Reply(document, view, request.axis.units, warnings=tuple(document["warnings"]), advised=False)
+    return Reply(document, view, request.axis.units, warnings=tuple(document["warnings"]))
 
 
 def _exported(request: ExportRequest) -> Exported:

@@ -71,7 +71,7 @@ def answer(request: ImportRequest) -> Reply:
         _draw(request.plot, account)
     out = None if request.out is None else str(request.out)
     document = account.to_dict() | {"file": str(request.file), "out": out}
-    return Reply(document, view, request.axis.units, warnings=account.notes, advised=False)
+    return Reply(document, view, request.axis.units, warnings=account.notes)
 
 
 def _draw(path: Path, account: Account) -> None:

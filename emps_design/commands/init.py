@@ -100,7 +100,7 @@ def answer(request: InitRequest) -> Reply:
         write_text(aside / "README.md", STARTER)
     document = {"directory": str(folder), "files": list(FILES), "record": record.to_dict(), "seed": seed}
     view = (Line(f"{folder}: {', '.join(FILES)}"), Line(f"Next: read {folder / 'README.md'}"))
-    return Reply(document, view, axis.units, advised=False)
+    return Reply(document, view, axis.units)
 
 
 def _of_trace(request: InitRequest, path: Path) -> Reply:
@@ -135,7 +135,7 @@ def _of_trace(request: InitRequest, path: Path) -> Reply:
         Line(f"{axis_file}: fill in {', '.join(to_fill_in)}"),
         Line(f"Then: emps-design import {path} --axis {axis_file} --out record.npz"),
     )
-    return Reply(document, view, export.units, warnings=tuple(warnings), advised=False)
+    return Reply(document, view, export.units, warnings=tuple(warnings))
 
 
 def _law(request: InitRequest, export: Trace) -> LawEstimate | None:

@@ -43,4 +43,4 @@ def answer(request: StudioRequest) -> Reply:
         raise KeyboardInterrupt  # the server handles Ctrl-C itself, and nothing else ends it
 
     view = (Line(f"emps-design studio: {address} (Ctrl-C ends it)", "code"),)
-    return Reply({"address": address}, view, request.axis.units, advised=False, then=until_interrupted)
+    return Reply({"address": address}, view, request.axis.units, then=until_interrupted)

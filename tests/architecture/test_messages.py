@@ -11,7 +11,7 @@ import typer
 
 from emps_design.cli.app import COMMANDS, _application
 from emps_design.cli.command import module_of, request_of
-from emps_design.cli.output import FLAGS, FLAGS_OF, in_flags
+from emps_design.cli.output import FLAGS, FLAGS_OF, Terminal
 from emps_design.request import options_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -60,12 +60,12 @@ def test_the_library_names_no_flag(library_texts):
 def test_every_argument_that_a_message_names_has_its_flag(library_texts):
     options = {name for request in requests().values() for name in request}
     arguments = [(module, name) for module, text in library_texts for name in ARGUMENT.findall(text)]
-    unknown = [(module, name) for module, name in arguments if name.partition("=")[0] not in options]
-    assert [(module, name) for module, name in unknown if in_flags(f"`{name}`") == f"`{name}`"] == []
+    known = options | FLAGS.keys() | {name for flags in FLAGS_OF.values() for name in flags}
+    assert [(module, name) for module, name in arguments if not {name, name.partition("=")[0]} & known] == []
 
 
 def test_every_flag_of_the_table_is_one():
-    group = typer.main.get_command(_application([]))
+    group = typer.main.get_command(_application([], Terminal()))
     known = {
         command: {name for option in group.commands[command].params for name in option.opts} for command in COMMANDS
     }
@@ -80,10 +80,3 @@ def test_a_flag_in_a_message_is_seen():
     found = texts('"""Docstring --here."""\nraise InputError(f"{name}: too slow; give --cutoff")')
     assert [text for text in found if FLAG.search(COMMAND.sub("", text))] == [": too slow; give --cutoff"]
     assert not FLAG.search(COMMAND.sub("", "emps-design simulate model.toml --reference next.csv"))
-
-
-def test_a_command_speaks_of_the_axis_it_loads():
-    """``cli.output.load_axis`` sets the units of what is printed; the library's own does not."""
-    bare = re.compile(r"from emps_design\.machines import .*\bload_axis\b")
-    modules = sorted((PACKAGE / "cli").glob("*.py"))
-    assert [m.name for m in modules if bare.search(m.read_text(encoding="utf-8"))] == ["output.py"]

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from emps_design.cli import app
-from emps_design.cli.output import json_text
+from emps_design.cli.output import Terminal
 from emps_design.discrepancy.preparation import MOST_SAMPLES, check_records
 from emps_design.errors import EmpsError, InputError, RecordError, one_line
 from emps_design.files import destination, write_text
@@ -224,7 +224,7 @@ def test_text_on_a_page_stays_text(text):
 @given(text=ANY_TEXT)
 def test_text_on_a_terminal_and_in_json_stays_text(text):
     assert one_line(text).isprintable()
-    document = json_text({"name": text, "inside": [text]})
+    document = Terminal().json_text({"name": text, "inside": [text]})
     assert json.loads(document) == {"name": text, "inside": [text]}
     assert all(c.isprintable() or c == "\n" for c in document)
     assert str(EmpsError(text)).isprintable()

@@ -13,7 +13,7 @@ import pytest
 
 from emps_design import __version__
 from emps_design.cli import app
-from emps_design.cli.output import plain, print_warnings, progress_bar
+from emps_design.cli.output import Terminal
 from emps_design.errors import InputError, SpecificationError, UnstableError
 from emps_design.files import write_aside, write_text
 
@@ -102,7 +102,7 @@ def test_plain_data():
         def to_dict(self):
             return {"poles": np.array([1 + 2j]), "margin": np.inf, "n": np.int64(3), "pair": (np.nan, True, None)}
 
-    assert plain(Result()) == {"poles": [[1.0, 2.0]], "margin": None, "n": 3, "pair": [None, True, None]}
+    assert Terminal().plain(Result()) == {"poles": [[1.0, 2.0]], "margin": None, "n": 3, "pair": [None, True, None]}
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -134,19 +134,17 @@ def test_written_files_have_ordinary_rights(tmp_path):
 
 
 def test_progress_goes_to_standard_error_once_a_stage(capsys):
-    with progress_bar() as progress:
+    with Terminal().progress() as progress:
         progress("filtering", 0.1)
         progress("filtering", 0.2)
         progress("fitting", 0.5)
-    with progress_bar(show=False) as silent:
-        silent("nothing", 0.0)
     out, err = capsys.readouterr()
     assert out == ""
     assert err.splitlines() == ["emps-design: filtering", "emps-design: fitting"]
 
 
 def test_warnings_are_a_line_each(capsys):
-    print_warnings(["q: converted from mm to m"])
+    Terminal().print_warnings(["q: converted from mm to m"])
     assert capsys.readouterr().err == "emps-design: warning: q: converted from mm to m\n"
 
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
-from emps_design.cli.output import json_text
+from emps_design.cli.output import Terminal
 from emps_design.errors import InputError
 from emps_design.identification import identify, identify_several
 from emps_design.identification.assemble import assemble, cutoff_sensitivity
@@ -67,7 +67,7 @@ def test_the_command_and_the_function_are_one(day, tmp_path, capsys, flags, opti
     day.save(path)
     assert run(["identify", str(path), "--json", *flags]) == 0
     document = json.loads(capsys.readouterr().out)
-    found = json.loads(json_text(identify(replace(day, name="day"), AXIS, **options)))
+    found = json.loads(Terminal().json_text(identify(replace(day, name="day"), AXIS, **options)))
     del document["advice"], document["sha256"], found["sha256"]  # what to do next is the command's to say
     assert document == found
 

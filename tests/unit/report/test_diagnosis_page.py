@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from emps_design.cli.output import print_view
+from emps_design.cli.output import Terminal
 from emps_design.commands.diagnose import _written
 from emps_design.discrepancy.request import interval_from_text
 from emps_design.discrepancy.view import diagnosis_view
@@ -242,7 +242,7 @@ def test_the_terminal_says_what_was_found_what_to_record_and_what_was_written(ca
     shown["closest"] = closest(shown)
     finding = shown["findings"][0]
     finding["confirmed"] = None
-    print_view((*diagnosis_view(shown, Units()), *_written(shown, Path("found"))))
+    Terminal().print_view((*diagnosis_view(shown, Units()), *_written(shown, Path("found"))))
     text = " ".join(capsys.readouterr().out.split())
     assert text.startswith("named Below 9 mm/s")
     for words in (
@@ -254,7 +254,7 @@ def test_the_terminal_says_what_was_found_what_to_record_and_what_was_written(ca
         assert words in text
     finding["confirmed"] = {"share": 1.02, "std": 0.05}
     shown["experiment"] = None
-    print_view(diagnosis_view(shown, Units()))
+    Terminal().print_view(diagnosis_view(shown, Units()))
     text = " ".join(capsys.readouterr().out.split())
     assert "confirmed" in text
     assert "Written" not in text
