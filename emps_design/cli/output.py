@@ -50,7 +50,7 @@ class Terminal:
     of its axis, once it is read.
 
     >>> Terminal(("identify",)).named("give `cutoff`, or use `filter='report'`")
-    "give --cutoff, or use --filter report"
+    'give --cutoff, or use --filter report'
     >>> Terminal(("report",)).named("use `filter='hold'`")
     'use --record-filter hold'
     """

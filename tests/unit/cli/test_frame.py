@@ -21,7 +21,7 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 
 
 def run_raising(monkeypatch, error, *arguments):
-    def application(_):
+    def application(_, terminal):
         def call(**_):
             raise error
 
