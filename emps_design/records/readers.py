@@ -139,7 +139,7 @@ def _head_and_kind(file: BinaryIO, name: str, source: str) -> tuple[bytes, str]:
     if not head.strip():
         raise RecordError(f"{source}: is empty, expected a .mat, .csv or .npz record")
     suffix = Path(name).suffix.lower()
-    kind = ".npz" if head[:4] == b"PK\x03\x04" else ".mat" if is_v73(head) or is_v5(head) else ".csv"
+    kind = _kind(head)
     expected = ".csv" if suffix in _TEXT else suffix if suffix in _KINDS else kind
     if kind != expected:
         text = "something else" if b"\0" in head else "text"
@@ -175,6 +175,12 @@ def _columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         vectors = values if shape[1] > shape[0] else values.T
         columns |= dict(zip(column_titles(name, min(shape)), vectors, strict=True))
     return columns
+
+
+def _kind(head: bytes) -> str:
+    if head[:4] == b"PK\x03\x04":
+        return ".npz"
+    return ".mat" if is_v73(head) or is_v5(head) else ".csv"
 
 
 def _refuse_large(size: int, source: str, max_bytes: int) -> None:
