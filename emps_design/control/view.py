@@ -51,7 +51,7 @@ def gains_view(document: dict[str, Any], units: Units) -> View:
         *(_mismatch(document["mismatch"], units) if "mismatch" in document else ()),
         Line("difference equation, every sample:"),
         *(Line(f"    {line}", "code") for line in document["difference_equation"]["lines"]),
-        *([Line(f"axis file with this controller: {document['out']}")] if "out" in document else []),
+        *([Line(f"axis file with this controller: {document['out']}", "code")] if "out" in document else []),
         *warning_lines(document["warnings"], units),
         *(_suggestion(document["suggestion"], units) if "suggestion" in document else ()),
         *(_position_loop(document["position_loop"], units) if "position_loop" in document else ()),
