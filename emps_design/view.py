@@ -6,9 +6,10 @@ in the units and words of its axis; a renderer changes no text.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from html import escape
+from html import escape, unescape
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,12 @@ if TYPE_CHECKING:
 STYLES = {"good": "bold green", "bad": "bold red", "strong": "bold"}  # of a line on a terminal
 BLOCKS = "▁▂▃▄▅▆▇█"
 Cell = Any  # text, a number or None
+
+
+class Html(str):
+    """Text that is HTML already, such as a symbol with its subscript: not escaped, and without its tags as text."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,7 @@ class Table:
     """Rows under headings, with a title; a number has four significant digits, None is ``missing``.
 
     ``words`` are the headings of columns of text, aligned left as the first one is; the others are aligned right.
+    With ``row_headings`` the first cell of a row is a heading, as HTML. Headings that are all empty are not shown.
     """
 
     headings: Sequence[str]
@@ -47,6 +55,7 @@ class Table:
     title: str = ""
     words: Sequence[str] = ("unit",)
     missing: str = "-"
+    row_headings: bool = False
     kind: str = field(default="table", init=False)
 
     def __post_init__(self) -> None:
@@ -65,7 +74,7 @@ class Table:
     def _text(self, cell: Cell) -> str:
         if cell is None:
             return self.missing
-        return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+        return f"{cell:.4g}" if isinstance(cell, float) else cell if isinstance(cell, str) else str(cell)
 
 
 View = tuple[Line | Table, ...]
@@ -124,12 +133,19 @@ def _rich(table: Table) -> RichTable:
     from rich.table import Table as RichTable
 
     title = printable(table.title) or None
-    shown = RichTable(title=title, title_justify="left", box=box.SIMPLE, pad_edge=False, min_width=len(table.title))
+    shown = RichTable(
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE,
+        pad_edge=False,
+        min_width=len(table.title),
+        show_header=any(table.headings),
+    )
     for place, heading in enumerate(table.headings):
         words = place == 0 or heading in table.words
-        shown.add_column(printable(heading), justify="left" if words else "right", overflow="fold")
+        shown.add_column(_plain(heading), justify="left" if words else "right", overflow="fold")
     for row in table.texts():
-        shown.add_row(*map(printable, row))
+        shown.add_row(*map(_plain, row))
     return shown
 
 
@@ -149,6 +165,15 @@ def sparkline(values: np.ndarray, width: int = 60) -> str:
     return "".join(BLOCKS[round(height)] for height in heights)
 
 
+def _plain(text: str) -> str:
+    """``text`` as a terminal shows it.
+
+    >>> _plain(Html("<i>k</i><sub>v1</sub> &lt; 1")), _plain("a <b>")
+    ('kv1 < 1', 'a <b>')
+    """
+    return printable(unescape(re.sub(r"<[^<>]*>", "", text)) if isinstance(text, Html) else text)
+
+
 def html(view: View) -> str:
     """``view`` as HTML, for a page or a notebook.
 
@@ -160,16 +185,24 @@ def html(view: View) -> str:
 
 def _paragraph(line: Line) -> str:
     style = f' class="{line.style}"' if line.style else ""
-    return f"<p{style}>{escape(line.text)}</p>"
+    return f"<p{style}>{_escaped(line.text)}</p>"
+
+
+def _escaped(text: str) -> str:
+    return str(text) if isinstance(text, Html) else escape(printable(text))
 
 
 def _table(table: Table) -> str:
     numeric = [place > 0 and heading not in table.words for place, heading in enumerate(table.headings)]
 
-    def row(tag: str, cells: Sequence[str]) -> str:
-        style = ["" if tag == "th" or not number else ' class="number"' for number in numeric]
-        return "<tr>" + "".join(f"<{tag}{s}>{escape(c)}</{tag}>" for s, c in zip(style, cells, strict=True)) + "</tr>"
+    def row(cells: Sequence[str], headings: int) -> str:
+        """A row whose first cells are ``headings``."""
+        tags = ["th" if place < headings else "td" for place in range(len(cells))]
+        style = [' class="number"' * (number and tag == "td") for tag, number in zip(tags, numeric, strict=True)]
+        written = zip(tags, style, map(_escaped, cells), strict=True)
+        return f"<tr>{''.join(f'<{tag}{look}>{cell}</{tag}>' for tag, look, cell in written)}</tr>"
 
-    caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
-    body = "".join(row("td", cells) for cells in table.texts())
-    return f"<table>{caption}<thead>{row('th', table.headings)}</thead><tbody>{body}</tbody></table>"
+    caption = f"<caption>{_escaped(table.title)}</caption>" if table.title else ""
+    head = f"<thead>{row(table.headings, len(table.headings))}</thead>" if any(table.headings) else ""
+    body = "".join(row(cells, int(table.row_headings)) for cells in table.texts())
+    return f"<table>{caption}{head}<tbody>{body}</tbody></table>"

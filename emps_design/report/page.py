@@ -23,7 +23,7 @@ from emps_design.errors import printable
 from emps_design.quantities import display_unit
 from emps_design.report.style import labelled, svg
 from emps_design.units import Units
-from emps_design.view import Table
+from emps_design.view import Html as Html, Table as Table
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -36,12 +36,6 @@ PACKAGES = ("emps-design", "numpy", "scipy", "control", "sympy", "matplotlib")
 LEVELS = {SAFE: ("good", "Safe."), CAUTION: ("warning", "Caution."), DO_NOT_RUN: ("stop", "Do not run this.")}
 
 NOTHING = "—"
-
-
-class Html(str):
-    """Text that is HTML already, such as a symbol with its subscript, and is not escaped."""
-
-    __slots__ = ()
 
 
 def inline(value: Any) -> str:

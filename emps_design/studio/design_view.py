@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import panel as pn
 
 from emps_design.errors import EmpsError
-from emps_design.report.page import angle, delay, inline, number, quantity, ratio, sentence_of
+from emps_design.report.page import angle, delay, html as markup, number, quantity, ratio, sentence_of
 from emps_design.studio.controls import FilterRows, Knob
-from emps_design.studio.panes import AxisFile, html, message, numbers
+from emps_design.studio.panes import AxisFile, bold, html, message, table
 from emps_design.studio.plots import LoopPlots, PlanePlot, feasible, plane
 from emps_design.studio.ranges import requirements
 from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, differences_in_words, taken_for
@@ -37,36 +37,38 @@ SPECIFYING = ("frequency", "phase_margin_deg", "specification", "structure", "fi
 
 
 def _check(good: bool) -> str:
-    return '<b class="yes">meets</b>' if good else '<b class="no">fails</b>'
+    return bold("meets", "yes") if good else bold("fails", "no")
 
 
 def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> str:
     """Return gains and margins as HTML, with those of the pinned design, and whether the requirements are met."""
 
+    units = design.axis.units
+
     def row(name: str, shown: VelocityLoopDesign) -> tuple[str, ...]:
         sampled, m = shown.sampled, shown.sampled.margins
-        filters, other = len(shown.filters), ""
+        filters, gain = len(shown.filters), bold(number(shown.k_v1))
         if shown.axis.name != design.axis.name:
-            name = f"{name}, {inline(shown.axis.name)}"
-        if shown.axis.units != design.axis.units:  # the headings have the units of this design
-            other = f" <code>{shown.axis.units.unit('V/(m/s)')}</code>"
+            name = f"{name}, {shown.axis.name}"
+        if shown.axis.units != units:  # the headings have the units of this design
+            gain = markup("{} <code>{}</code>", gain, shown.axis.units.unit("V/(m/s)"))
         return (
             name,
             shown.structure.label + (f", {filters} filter{'s' * (filters > 1)}" if filters else ""),
-            f"<b>{number(shown.k_v1)}</b>{other}",
-            f"<b>{number(shown.t_v * 1e3)}</b>",
+            gain,
+            bold(number(shown.t_v * 1e3)),
             angle(shown.phase_margin_deg),
             angle(shown.plant_input.phase_margin_deg),
-            f'<b class="margin">{angle(m.phase_margin_deg)}</b>' if m.stable else '<b class="no">unstable</b>',
+            bold(angle(m.phase_margin_deg), "margin") if m.stable else bold("unstable", "no"),
             delay(m.delay_margin, m.period) if m.stable else "—",
             ratio(m.gain_margin) if m.stable else "—",
             number(sampled.bandwidth) if m.stable else "—",
         )
 
-    heads = (
+    headings = (
         "",
         "structure",
-        "k_v1 [V/(m/s)]",
+        f"k_v1 [{units.unit('V/(m/s)')}]",
         "t_v [ms]",
         "phase, asked at velocity error",
         "phase, plant input, continuous",
@@ -76,13 +78,13 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
         "closed loop −3 dB, sampled [rad/s]",
     )
     rows = [row("this design", design), *([row("pinned", pinned)] if pinned is not None else [])]
-    return f"{numbers(heads, rows)}{_requirements(state, design)}"
+    return f"{table(headings, rows)}{_requirements(state, design)}"
 
 
 def _requirements(state: State, design: VelocityLoopDesign) -> str:
     achieved = requirements(design, state.required_phase_deg, state.required_overshoot_percent)
     if achieved is None:
-        return '<p class="requirements"><b class="no">The sampled loop is unstable: no requirement is met.</b></p>'
+        return f'<p class="requirements">{bold("The sampled loop is unstable: no requirement is met.", "no")}</p>'
     return (
         f'<p class="requirements">Phase margin {angle(achieved.phase_margin_deg)} of {angle(state.required_phase_deg)} '
         f"required: {_check(achieved.phase_met)} · overshoot {achieved.overshoot_percent:.1f} % of "
@@ -115,25 +117,30 @@ def verdict_message(design: VelocityLoopDesign) -> str:
 def laws_table(state: State, design: VelocityLoopDesign) -> str:
     """Return force loop and impedance law of the state as HTML."""
     cells = [("", ""), *_force_cells(state, design), *_impedance_cells(state)]
-    heads, values = zip(*cells, strict=True)
-    return numbers(heads, [values])
+    headings, values = zip(*cells, strict=True)
+    return table(headings, [values])
 
 
 def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, str]]:
     from emps_design.control.force import design_force_loop
 
+    units = state.axis.units
+    loop = units.words("force loop")
     try:
         force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
     except EmpsError as error:
-        return [("force loop", inline(str(error)))]
+        return [(loop, units.text(str(error)))]
     if not design.sampled.stable:
-        return [("force loop", '<b class="no">the velocity loop inside it is unstable</b>')]
+        return [(loop, bold("the velocity loop inside it is unstable", "no"))]
     limit = force.k_e1_max_sampled
-    stable = '<b class="yes">stable</b>' if force.stable else '<b class="no">unstable</b>'
+    felt = f"{quantity(force.k_c, 'N/(m/s)')}, {quantity(force.apparent_mass, 'kg')}"
     return [
-        ("force loop, sampled", stable),
-        ("k_e1, largest [(m/s)/N]", f"{number(state.k_e1)}, {'unbounded' if limit is None else number(limit)}"),
-        ("felt: damping, mass", f"{quantity(force.k_c, 'N/(m/s)')}, {quantity(force.apparent_mass, 'kg')}"),
+        (f"{loop}, sampled", bold("stable", "yes") if force.stable else bold("unstable", "no")),
+        (
+            f"k_e1, largest [{units.unit('(m/s)/N')}]",
+            f"{number(state.k_e1)}, {'unbounded' if limit is None else number(limit)}",
+        ),
+        (f"felt: damping, {units.words('mass')}", units.text(felt)),
     ]
 
 
@@ -143,6 +150,7 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
     from emps_design.control.impedance.robustness import verdict
     from emps_design.laws.friction_model import left_out
 
+    units = state.axis.units
     try:
         law = impedance_law(state.axis, state.mass, state.damping, state.filter)
         plant, clock = FrictionModel.of(state.axis), Clock.of(state.axis)
@@ -157,17 +165,19 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
         )
         felt = worst.apparent(plant)
     except EmpsError as error:
-        return [("impedance law", f'<b class="no">{inline(str(error))}</b>')]
+        return [("impedance law", bold(units.text(str(error)), "no"))]
 
     def shown(word: str) -> str:
-        mark = "no" if word in ("unstable", "limit_cycle", "creeping") else "yes"
-        return f'<b class="{mark}">{word.replace("_", " ")}</b>'
+        return bold(word.replace("_", " "), "no" if word in ("unstable", "limit_cycle", "creeping") else "yes")
 
     return [
         ("impedance law, exact", shown(exact)),
         (f"over-estimate of {state.mismatch_percent:g} %", shown(over)),
-        ("felt then: mass, damping", f"{quantity(felt.mass, 'kg')}, {quantity(felt.damping, 'N/(m/s)')}"),
-        ("Coulomb left", quantity(felt.coulomb_left, "N")),
+        (
+            f"felt then: {units.words('mass')}, damping",
+            units.text(f"{quantity(felt.mass, 'kg')}, {quantity(felt.damping, 'N/(m/s)')}"),
+        ),
+        ("Coulomb left", units.text(quantity(felt.coulomb_left, "N"))),
     ]
 
 
@@ -406,8 +416,8 @@ class DesignView:
             self.plane.color(regions)
             self._plane = regions
         self.plane.show(state.specification, self.design, self.pinned)
-        self.numbers.object = self._own(numbers_table(state, self.design, self.pinned))
-        self.laws.object = self._own(laws_table(state, self.design))
+        self.numbers.object = numbers_table(state, self.design, self.pinned)
+        self.laws.object = laws_table(state, self.design)
 
     def _own(self, text: str) -> str:
         """Return ``text`` in the units of the axis."""

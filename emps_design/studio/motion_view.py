@@ -29,7 +29,7 @@ from emps_design.report.record import motion_figure, tracking_figure
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.files_view import BUTTON, designed, drive_zip, follows, velocity_design
-from emps_design.studio.panes import Job, html, judgement, message, numbers
+from emps_design.studio.panes import Job, html, judgement, message, table
 from emps_design.studio.state import FEEDFORWARDS, State
 
 if TYPE_CHECKING:
@@ -259,8 +259,8 @@ class MotionView:
         level, text = motion_runs.verdict()
         notes = "".join(f"<br>{inline(note)}" for note in motion_runs.notes)
         self.message.object = units.text(judgement(text, level, notes))
-        heads, *rows = ([inline(cell) for cell in row] for row in motion_runs.rows())
-        self.table.object = units.text(numbers(heads, rows))
+        headings, *rows = motion_runs.rows()
+        self.table.object = units.text(table(headings, rows))
         self.picture.object = drawn
 
 
@@ -371,13 +371,13 @@ class CompensationView:
         lines = (text, *more, *(remedy["advice"] for remedy in compensation.feedback))
         shown = "".join(f"<br>{inline(line)}" for line in lines)
         self.message.object = self._axis.units.text(judgement(sentence_of(advice.text), LEVELS[advice.level][0], shown))
-        heads = ("term", f"alone [{compensation.unit}]", "all but it", "all, it wrong", "")
+        headings = ("term", f"alone [{compensation.unit}]", "all but it", "all, it wrong", "")
         rows = [
             (term.name.replace("_", " "), *map(_written, (term.alone, term.left_out, term.worst)),
-             inline(term.note if term.kept else f"left out: {term.note}"))
+             term.note if term.kept else f"left out: {term.note}")
             for term in compensation.terms
         ]  # fmt: skip
-        self.table.object = numbers(heads, rows)
+        self.table.object = table(headings, rows)
         self.picture.object = svg(labelled(tracking_figure(compensation), compensation.axis.units), "tracking")
 
     def _folder(self) -> BytesIO:

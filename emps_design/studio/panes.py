@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import PurePath
@@ -17,10 +17,12 @@ from typing import Any
 
 import panel as pn
 
+from emps_design import view
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
 from emps_design.machines import machine_names
-from emps_design.report.page import LEVELS, inline
+from emps_design.report.page import LEVELS, html as markup, inline
+from emps_design.view import Cell, Html
 
 STYLE = """
 .message { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
@@ -30,8 +32,8 @@ STYLE = """
 table { border-collapse: collapse; font-size: 12.5px; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; padding: 2px 9px 2px 4px; border-bottom: 1px solid #e5e7eb; vertical-align: bottom; }
 th { font-weight: 400; }
-table.numbers td, table.numbers tr + tr th { white-space: nowrap; }
-table.numbers tr:first-child th { color: #4b5563; font-size: 11px; line-height: 1.15; }
+thead + tbody td, thead + tbody th { white-space: nowrap; }
+thead th { color: #4b5563; font-size: 11px; line-height: 1.15; }
 table.about { font-size: 13px; max-width: 900px; }
 table.about th { white-space: nowrap; vertical-align: top; padding-right: 18px; }
 p { font-size: 13px; max-width: 900px; }
@@ -69,15 +71,22 @@ def judgement(text: str, level: str, more: str = "") -> str:
     return message("", level, f"<b>{title}</b> {inline(text)}{more}")
 
 
-def numbers(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Return a table of numbers as HTML, under its ``heads``; the first cell of a row names it; cells are HTML.
+def table(headings: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """Return ``rows`` under ``headings`` as HTML; the first cell of a row is its heading.
 
-    >>> numbers(("", "mass"), [("found", "2 kg")])
-    '<table class="numbers"><tr><th></th><th>mass</th></tr><tr><th>found</th><td>2 kg</td></tr></table>'
+    >>> table(("", "mass"), [("found", "2 kg")])
+    '<table><thead><tr><th></th><th>mass</th></tr></thead><tbody><tr><th>found</th><td>2 kg</td></tr></tbody></table>'
     """
-    head = "".join(f"<th>{title}</th>" for title in heads)
-    lines = (f"<th>{name}</th>{''.join(f'<td>{cell}</td>' for cell in cells)}" for name, *cells in rows)
-    return f'<table class="numbers"><tr>{head}</tr>{"".join(f"<tr>{line}</tr>" for line in lines)}</table>'
+    return view.html((view.Table(headings, rows, words=headings, row_headings=True),))
+
+
+def bold(text: str, kind: str = "") -> Html:
+    """Return ``text`` as bold HTML; ``kind`` is its class: yes, no, or margin.
+
+    >>> bold("a < b"), bold("fails", "no")
+    ('<b>a &lt; b</b>', '<b class="no">fails</b>')
+    """
+    return markup('<b class="{}">{}</b>', kind, text) if kind else markup("<b>{}</b>", text)
 
 
 @cache

@@ -17,7 +17,7 @@ from emps_design.progress import Progress, no_progress, of_part
 from emps_design.report.page import inline, quantity
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
-from emps_design.studio.panes import Job, html, judgement, message
+from emps_design.studio.panes import Job, bold, html, judgement, message, table
 from emps_design.studio.state import State
 
 if TYPE_CHECKING:
@@ -236,10 +236,8 @@ class SimulationView:
         level, text = simulated.verdict()
         units = simulated.state.axis.units
         self.message.object = units.text(judgement(text, level))
-        rows = "".join(
-            f"<tr><th>{inline(name)}</th><td><b>{inline(value)}</b></td></tr>" for name, value in simulated.rows()
-        )
-        self.table.object = units.text(f"<table>{rows}</table>")
+        rows = [(name, bold(value)) for name, value in simulated.rows()]
+        self.table.object = units.text(table(("", ""), rows))
         captions = simulated.captions()
         for name, figure in simulated.figures().items():
             caption = units.text(inline(captions[name]))
