@@ -81,7 +81,7 @@ def test_a_spring_is_not_called_a_weight():
     spring = {"kind": "elastic_force", "stiffness": 10.0, "rest_position": 0.0}
     answer = diagnose(*robot(joint([spring]), seed=4))
     assert (answer.verdict, answer.findings) == ("unnamed", ())
-    assert any("elastic force in its place" in text for text in answer.details["warnings"])
+    assert any("elastic torque in its place" in text for text in answer.details["warnings"])
     assert answer.details["unexplained"]["over"][0] == "position"
 
 

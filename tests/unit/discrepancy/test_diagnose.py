@@ -282,7 +282,7 @@ def test_one_speed_and_an_unknown_controller_tell_neither_mass_nor_friction():
     assert answer.findings[0].parameters["amplitude"]["value"] == pytest.approx(8.0, rel=0.05)
     mechanics = answer.axis.mechanics
     assert (mechanics.mass, mechanics.viscous, mechanics.coulomb) == tuple(unknown.mechanics.array()[:3])
-    assert any("mass and friction stay as the axis file says" in text for text in answer.details["warnings"])
+    assert any("inertia and friction stay as the axis file says" in text for text in answer.details["warnings"])
 
 
 def test_the_confirming_record_withdraws_what_it_does_not_ask_for():

@@ -20,6 +20,7 @@ from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.scenarios import multi_sine
 from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
+from emps_design.units import Units
 from tests.studies import quick
 
 AXIS = machine("emps2019")
@@ -141,7 +142,7 @@ def test_without_equivalents_the_effect_s_own_advice_stays():
     tried = {frozenset(f.model.names): f for f in (best, rival)}
     calibration = Calibration(None, best, None, Healthy(np.full(199, THRESHOLD)), [])
     found = Outcome(calibration, (best,), tried)
-    alone = experiment(found, ("actuator_delay",), {"actuator_delay": []}).to_dict()
+    alone = experiment(found, ("actuator_delay",), {"actuator_delay": []}).to_dict(Units())
     assert alone["text"] == delay.experiment
     assert {alone[key] for key in ("program", "duration", "distance", "over_noise", "between", "file")} == {None}
     both = {"actuator_delay": ["actuator_lag"]}
