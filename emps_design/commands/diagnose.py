@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import AXIS, JSON, PAGE, TABLE, make_folder
+from emps_design.commands.options import axis_option
 from emps_design.discrepancy.request import DiagnosisRequest
 from emps_design.errors import EmpsError, InputError, one_line
 from emps_design.files import write_aside, write_text, write_together
@@ -40,12 +41,8 @@ PARTIAL = "emps-design/partial-diagnosis/1"  # schema of what an interrupted dia
 class DiagnoseRequest(DiagnosisRequest):
     """What ``diagnose`` takes: that of the function, and the folder for its files."""
 
+    axis: Axis = axis_option("axis file or embedded machine")
     out: Path | None = option(None, "folder for model, report, prediction", metavar="DIR", writes=FILES)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.out is not None and not self.overwrite:
-            check_same_records(self.out, {record.sha256 for record in self.records})
 
     @property
     def axis_name(self) -> str:
@@ -73,6 +70,8 @@ def answer(request: DiagnoseRequest) -> Reply:
     """The diagnosis; an interrupted one leaves the folder as it was and writes what it knew beside it."""
     from emps_design.discrepancy import diagnose
 
+    if request.out is not None and not request.overwrite:
+        check_same_records(request.out, {record.sha256 for record in request.records})
     known = PartialDiagnosis(request.out)
     searching = replace(request, progress=known.track(request.progress), searched=known.keep_model)
     with on_interrupt(known.write):

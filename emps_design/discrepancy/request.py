@@ -57,7 +57,7 @@ class DiagnosisRequest(Request):
         typed=list[Path],
         read=_record,
     )
-    axis: Axis = option("emps2019", "axis file or embedded machine", typed=str, read=lambda name, axis: load_axis(name))
+    axis: Axis = option(..., "axis file or embedded machine", typed=str, read=lambda name, axis: load_axis(name))
     holdout: Record | None = option(
         None,
         "a record to confirm on, opened once, at the end; by default a part of RECORD",
