@@ -89,6 +89,10 @@ class Request:
     overwrite: bool = field(default=False, kw_only=True, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        axis = getattr(self, "axis", None)
+        if isinstance(axis, str | Path):  # of a request made without make_request
+            about: Option = type(self).__dataclass_fields__["axis"].metadata[OPTION]
+            object.__setattr__(self, "axis", axis if about.read is None else about.read(axis, None))
         for declared in _declared_by(type(self)).checked:
             _check(declared, getattr(self, declared.name), self.units)
 

@@ -20,8 +20,13 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table as RichTable
 
+<<<<<<< HEAD
 STYLES = {"good": "bold green", "bad": "bold red", "strong": "bold"}  # of a line on a terminal
 BLOCKS = "▁▂▃▄▅▆▇█"
+=======
+STYLES = {"": "", "good": "bold green", "bad": "bold red", "strong": "bold", "code": ""}  # of a line on a terminal
+WHOLE = ("good", "bad", "code")  # styles of a line that is not wrapped
+>>>>>>> 98238450 (A verdict is one line, however narrow the terminal)
 Cell = Any  # text, a number or None
 
 
@@ -33,9 +38,15 @@ class Html(str):
 
 @dataclass(frozen=True)
 class Line:
+<<<<<<< HEAD
     """A line of text; ``style`` is "" or one of "good", "bad", "strong".
 
     "prose" is wrapped at words on a terminal, "code" is shown as it stands.
+=======
+    """A line of text; ``style`` is "" or one of "good" and "bad" for a verdict, "strong", and "code".
+
+    A terminal wraps it, but a verdict or code.
+>>>>>>> 98238450 (A verdict is one line, however narrow the terminal)
     """
 
     text: str
@@ -119,7 +130,11 @@ def show(console: Console, part: Line | Table) -> None:
     from rich.text import Text
 
     if isinstance(part, Line):
+<<<<<<< HEAD
         console.print(Text(printable(part.text), STYLES.get(part.style, "")), soft_wrap=part.style != "prose")
+=======
+        console.print(Text(printable(part.text), STYLES[part.style]), soft_wrap=part.style in WHOLE)
+>>>>>>> 98238450 (A verdict is one line, however narrow the terminal)
     else:
         table = _rich(part)
         if console.measure(table, options=console.options.update(width=10_000)).maximum > console.width:
