@@ -20,13 +20,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-<<<<<<< HEAD
 STYLES = {"good": "bold green", "bad": "bold red", "strong": "bold"}  # of a line on a terminal
-BLOCKS = "▁▂▃▄▅▆▇█"
-=======
-STYLES = {"": "", "good": "bold green", "bad": "bold red", "strong": "bold", "code": ""}  # of a line on a terminal
 WHOLE = ("good", "bad", "code")  # styles of a line that is not wrapped
->>>>>>> 98238450 (A verdict is one line, however narrow the terminal)
+BLOCKS = "▁▂▃▄▅▆▇█"
 Cell = Any  # text, a number or None
 
 
@@ -38,15 +34,9 @@ class Html(str):
 
 @dataclass(frozen=True)
 class Line:
-<<<<<<< HEAD
-    """A line of text; ``style`` is "" or one of "good", "bad", "strong".
+    """A line of text; ``style`` is "" or one of "good" and "bad" for a verdict, "strong", "prose" and "code".
 
-    "prose" is wrapped at words on a terminal, "code" is shown as it stands.
-=======
-    """A line of text; ``style`` is "" or one of "good" and "bad" for a verdict, "strong", and "code".
-
-    A terminal wraps it, but a verdict or code.
->>>>>>> 98238450 (A verdict is one line, however narrow the terminal)
+    A terminal wraps it at words, but a verdict and code, which stand as they are; a file has it in one line, but prose.
     """
 
     text: str
@@ -125,16 +115,13 @@ def text(view: View, width: int = 80) -> str:
     return "\n".join(line.rstrip() for line in captured.get().rstrip().split("\n"))
 
 
-def show(console: Console, part: Line | Table) -> None:
+def show(console: Console, part: Line | Table, wrap: bool = True) -> None:
     """Print ``part`` on ``console``; unprintable characters, which names may hold, are shown as ``?``."""
     from rich.text import Text
 
     if isinstance(part, Line):
-<<<<<<< HEAD
-        console.print(Text(printable(part.text), STYLES.get(part.style, "")), soft_wrap=part.style != "prose")
-=======
-        console.print(Text(printable(part.text), STYLES[part.style]), soft_wrap=part.style in WHOLE)
->>>>>>> 98238450 (A verdict is one line, however narrow the terminal)
+        whole = part.style in WHOLE or not (wrap or part.style == "prose")
+        console.print(Text(printable(part.text), STYLES.get(part.style, "")), soft_wrap=whole)
     else:
         table = _rich(part)
         if console.measure(table, options=console.options.update(width=10_000)).maximum > console.width:

@@ -129,7 +129,7 @@ class Terminal:
             if isinstance(part, Line):
                 words = part.text if part.style == "code" else self.named(part.text)
                 part = replace(part, text=words if _unicode() else words.translate(PLAIN))
-            show(console, part)
+            show(console, part, wrap=console.is_terminal)
 
     def tell(self, text: object) -> None:
         """Print ``text`` as one line of this program on standard error."""
