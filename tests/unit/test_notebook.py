@@ -4,10 +4,10 @@ import pytest
 
 import emps_design as ed
 from emps_design.comanipulation.assessment import assess_impedance
-from emps_design.notebook import table
 from emps_design.report.loop_figures import velocity_loop_figures
 from emps_design.report.page import Picture
 from emps_design.simulation import replay
+from emps_design.view import Line, Table, html
 
 AXIS = ed.machine("emps2019")
 RIPPLED = AXIS.replace(effects=[{"kind": "position_ripple", "amplitude": 2.0, "period": 2.5e-3, "phase": 0.5}])
@@ -58,4 +58,4 @@ def test_a_picture_of_a_report_is_drawn_with_its_caption():
 
 
 def test_words_are_escaped():
-    assert "<b>" not in table("<b>", [("<b>", None, True)], ("<b>",))
+    assert "<b>" not in html((Line("<b>"), Table(("<b>",), [("<b>",), (None,)], "<b>")))
