@@ -230,7 +230,8 @@ def _structures(document: dict[str, Any]) -> Table:
 
 def _mismatch(study: dict[str, Any], units: Units) -> View:
     """The margins of the same gains, and the gains by (7), over the corners of the mismatch."""
-    errors = ", ".join(f"{units.word(name)} +-{100 * share:.3g} %" for name, share in study["errors"].items())
+    named = {" ".join(map(units.word, name.split("_"))): share for name, share in study["errors"].items()}
+    errors = ", ".join(f"{name} +-{100 * share:.3g} %" for name, share in named.items())
     rows = [
         (label, *(number(scale * value) for value in study[key]), unit)
         for label, key, unit, scale in UNDER_MISMATCH
