@@ -106,10 +106,14 @@ class Request:
 
         An option is set where the user gave it, even with its default, or where it has another value.
         """
-        default = {entry.name: entry.default for entry in options_of(type(self))}
-        unused = [name for name in names if name in self.given or getattr(self, name) != default[name]]
+        declared = {entry.name: entry for entry in options_of(type(self))}
+        unused = [name for name in names if name in self.given or self._changed(declared[name])]
         if unused:
             raise InputError(f"{', '.join(f'`{name}`' for name in unused)}: {why}")
+
+    def _changed(self, entry: Field[Any]) -> bool:
+        """Whether the value of an option differs from its default; one that is read from a name does not tell."""
+        return entry.metadata[OPTION].read is None and getattr(self, entry.name) != entry.default
 
 
 def _check(declared: Field[Any], value: Any, units: Units) -> None:
@@ -257,7 +261,7 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
             if len(arguments) == len(before) + 1 and isinstance(arguments[-1], kind):
                 return function(*arguments, **named)
             values = signature.bind(*arguments, **named).arguments
-            passed = [values.pop(parameter.name) for parameter in before]
+            passed = [values.pop(parameter.name, parameter.default) for parameter in before]
             own = {name: value for name in others if (value := values.pop(name, None)) is not None}
             more = {name: value for parameter in after for name, value in values.pop(parameter.name, {}).items()}
             return function(*passed, make_request(kind, values, values, **own), **more)

@@ -29,7 +29,7 @@ def test_an_error_that_an_interrupt_ends_in_is_that_interrupt(monkeypatch, capsy
         raise TypeError("incompatible function arguments")
 
     monkeypatch.setattr(interrupts, "interrupted", type(interrupts.interrupted)())
-    monkeypatch.setattr(app, "_application", lambda arguments: lambda **given: interrupted(given))
+    monkeypatch.setattr(app, "_application", lambda arguments, terminal: lambda **given: interrupted(given))
     assert app.run(["gains"]) == 130
     assert capsys.readouterr().err.strip() == "emps-design: interrupted"
 

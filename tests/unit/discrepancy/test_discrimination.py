@@ -143,7 +143,7 @@ def test_without_equivalents_the_effect_s_own_advice_stays():
     calibration = Calibration(None, best, None, Healthy(np.full(199, THRESHOLD)), [])
     found = Outcome(calibration, (best,), tried)
     alone = experiment(found, ("actuator_delay",), {"actuator_delay": []}).to_dict(Units())
-    assert alone["text"] == delay.experiment
+    assert alone["text"] == delay.words.experiment
     assert {alone[key] for key in ("program", "duration", "distance", "over_noise", "between", "file")} == {None}
     both = {"actuator_delay": ["actuator_lag"]}
     assert experiment(found, (), both) is None
@@ -151,7 +151,7 @@ def test_without_equivalents_the_effect_s_own_advice_stays():
     unknown = replace(problem, axis=AXIS.replace(controller={"kind": "none"}))
     blind = replace(found, path=(replace(best, problem=unknown),))
     advice = experiment(blind, ("actuator_delay",), both)
-    assert (advice.text, advice.excitation) == (delay.experiment, None)
+    assert (advice.text, advice.excitation) == (delay.words.experiment, None)
 
 
 @pytest.fixture
@@ -169,4 +169,4 @@ def test_no_excitation_separates_a_model_from_itself(same_delay):
     assert chosen.distance < 1e-3
     assert (chosen.excitation, chosen.q_ref) == (None, None)
     assert "no motion" in chosen.text
-    assert same_delay.experiment in chosen.text
+    assert same_delay.words.experiment in chosen.text

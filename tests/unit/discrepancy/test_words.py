@@ -74,7 +74,7 @@ def messages(axis, record) -> list[str]:
     said += [unexplained.like("friction that remembers the motion before", 0.5, units), *places(record, units)]
     said.append(changed(axis.mechanics.array(), 1.1 * axis.mechanics.array(), range(4), units))
     effects = [worded(effect, units) for effect in known_effects().values()]
-    said += [text for effect in effects for text in (effect.label, effect.experiment, effect.remedy)]
+    said += [text for effect in effects for text in (effect.label, effect.words.experiment, effect.words.remedy)]
     said += [label_of(effect.name, units) for effect in effects]
     fast = replace(record, q_ref=np.where(record.q_ref > record.q_ref.mean(), 1.0, -1.0), u=np.full(len(record), limit))
     said.append(refused(RecordError, check_records, (fast,), axis))

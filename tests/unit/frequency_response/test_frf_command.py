@@ -67,7 +67,7 @@ def test_the_report_shows_the_response_beside_the_model(files, capsys, sketched)
         (["--method", "welsh"], "--method: found 'welsh', expected one of auto, periodic, stepped, local-polynomial"),
         (["--instrument", "excite"], "--instrument: found 'excite', expected one of excitation, reference"),
         (["--out", "r.txt"], "--out: found 'r.txt', expected a name that ends in .csv or .mat"),
-        (["--plot", "r.csv"], "--plot: found 'r.csv', expected a name that ends in .png or .svg or .pdf"),
+        (["--plot", "r.csv"], "--plot: found 'r.csv', expected a name that ends in .png, .svg or .pdf"),
     ],
 )
 def test_bad_input_is_one_line(files, capsys, options, message):
