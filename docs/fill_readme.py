@@ -10,6 +10,7 @@ import math
 import re
 import sys
 import tempfile
+import textwrap
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "_ext"))
@@ -48,12 +49,17 @@ def filled(text: str) -> str:
             done = execute(match["command"], Path(folder))
             if done.returncode:
                 raise SystemExit(f"{match['command']}: exit status {done.returncode}\n{done.stderr}")
-            lines = [line.rstrip() for line in done.stdout.strip("\n").splitlines()]
+            lines = [row for line in done.stdout.strip("\n").splitlines() for row in on_a_terminal(line)]
             lines = [*lines[:MOST_LINES], "..."] if len(lines) > MOST_LINES else lines
             shown = "\n".join([f"$ {match['command']}", *lines])
             return f"<!-- run: {match['command']} -->\n\n```text\n{shown}\n```\n"
 
         return BLOCK.sub(block, text)
+
+
+def on_a_terminal(line: str) -> list[str]:
+    """``line`` as a terminal of 80 columns wraps it at words."""
+    return textwrap.wrap(line, 80, break_long_words=False, break_on_hyphens=False) if len(line) > 80 else [line.rstrip()]
 
 
 def measured() -> str:
