@@ -149,7 +149,9 @@ def observed_parts(axis: Axis) -> tuple[Part, ...]:
 
     Raises :class:`InputError` for effects whose force is no function of position and velocity."""
     named = list(zip(names_of_effects(axis), axis.effects, strict=True))
-    reasons = [f"{name}, {reason}" for name, axis_effect in named if (reason := why_not(axis_effect.effect))]
+    reasons = [
+        f"{name}, {reason}" for name, axis_effect in named if (reason := why_not(axis_effect.effect, axis.units))
+    ]
     if reasons:
         raise InputError(
             f"observer of {axis.name}: found {'; '.join(reasons)}; "

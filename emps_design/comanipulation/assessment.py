@@ -93,7 +93,8 @@ SHARES = (
 
 def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
     """Return the warnings on the :class:`ImpedanceAssessment`, whose other results are in ``document``."""
-    axis, law = assessment.axis, assessment.law
+    axis, law, units = assessment.axis, assessment.law, assessment.axis.units
+    force, carriage, shown = units.word("force"), units.word("carriage"), units.quantity
     words = [] if assessment.stable else [assessment.reason]
     if law.at_singularity(PRINTED):
         words.append(
@@ -102,8 +103,8 @@ def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
     sinking = sinking_force(assessment.plant)
     if sinking > 0.0:
         words.append(
-            f"the constant force exceeds dry friction by {sinking:.3g} N, and at rest this law holds nothing: the "
-            "axis sinks; balance that force apart"
+            f"the constant {force} exceeds dry friction by {shown(sinking, 'N', '.3g')}, and at rest this law holds "
+            f"nothing: the axis sinks; balance that {force} apart"
         )
     words += [
         f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
@@ -117,11 +118,11 @@ def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
             "M_a = M"
         )
     if law.damping == 0.0:
-        words.append("damping B is 0: nothing brings the released carriage to rest")
+        words.append(f"damping B is 0: nothing brings the released {carriage} to rest")
     oscillation = document["coulomb_oscillation"]
     if oscillation is not None and oscillation["speed"] > 2.0 * assessment.slowest_drift:
         words.append(
-            f"the Coulomb compensation may hunt, at {1e3 * oscillation['speed']:.2g} mm/s or more and below "
+            f"the Coulomb compensation may hunt, at {shown(oscillation['speed'], 'mm/s', '.2g')} or more and below "
             f"{oscillation['frequency']:.2g} rad/s (describing function); a smaller Coulomb factor removes it, or "
             "a faster filter where the loop bears one"
         )
@@ -135,17 +136,18 @@ def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
         wall = document["largest_wall_stiffness"]
         words.append(
             f"not passive from {low:.3g} rad/s on"
-            + ("" if wall is None else f"; the poles bear an undamped wall of up to {wall:.3g} N/m")
+            + ("" if wall is None else f"; the poles bear an undamped wall of up to {shown(wall, 'N/m', '.3g')}")
         )
     for name, limit in assessment.walls.items():
         which = "exact estimates" if name == "exact" else f"estimates off by +-{100 * (assessment.mismatch or 0.0):g} %"
         words.append(
-            f"{which}: pressed against a wall the carriage comes to rest up to {limit.simulated:.3g} N/m; beyond, "
-            "the Coulomb compensation may keep it swinging (simulated with pushes around "
-            f"{limit.push:.3g} N; the poles alone bear {limit.linear:.3g} N/m)"
+            f"{which}: pressed against a wall the {carriage} comes to rest up to "
+            f"{shown(limit.simulated, 'N/m', '.3g')}; beyond, the Coulomb compensation may keep it swinging (simulated "
+            f"with pushes around {shown(limit.push, 'N', '.3g')}; the poles alone bear "
+            f"{shown(limit.linear, 'N/m', '.3g')})"
         )
     if contact is not None and document["largest_wall_stiffness"] is None:
-        words.append("largest_wall_stiffness is unbounded: stable up to 1 GN/m")
+        words.append(f"largest_wall_stiffness is unbounded: stable up to 1 G{units.unit('N/m')}")
     mismatch = document.get("mismatch")
     if mismatch is not None and assessment.study is not None:
         words += assessment.study.warnings
@@ -155,11 +157,11 @@ def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
             factor = mismatch["coulomb_factor_without_creep"]
             cure = "no Coulomb factor" if factor is None else f"a Coulomb factor of {factor:.4g}"
             words.append(
-                f"over-estimated friction makes the released carriage creep at up to "
-                f"{1e3 * mismatch['creep_speed']:.3g} mm/s; {cure} rules it out"
+                f"over-estimated friction makes the released {carriage} creep at up to "
+                f"{shown(mismatch['creep_speed'], 'mm/s', '.3g')}; {cure} rules it out"
             )
         if mismatch["worst"]["peak_voltage"] >= axis.drive.command_limit:
-            words.append("the voltage limit is reached in the task")
+            words.append(f"the {units.word('voltage')} limit is reached in the task")
     return words
 
 
@@ -259,9 +261,9 @@ class ImpedanceAssessment(Viewed):
             return f"{name}: the sampled loop has a pole outside the unit circle"
         where = f" in {count} of {len(outcomes)} plants simulated within +-{100 * (self.mismatch or 0.0):g} %"
         where = " with exact estimates" if study is None or not count else where
-        creep = study.creep if study is not None and self.verdict == "creeping" else 0.0
-        speed = f", at up to {1e3 * creep:.3g} mm/s" if creep else ""
-        return f"{name}: the released carriage {DOES[self.verdict]}{where}{speed}"
+        creep, units = study.creep if study is not None and self.verdict == "creeping" else 0.0, self.axis.units
+        speed = f", at up to {units.quantity(creep, 'mm/s', '.3g')}" if creep else ""
+        return f"{name}: the released {units.word('carriage')} {DOES[self.verdict]}{where}{speed}"
 
     def _calm(self, law: ImpedanceLaw) -> bool:
         """Whether the carriage does not swing under ``law``, guided and released, with estimates within the mismatch.
@@ -302,9 +304,9 @@ class ImpedanceAssessment(Viewed):
             return ""
         if self.poles_stable:
             return (
-                f"{self.headline}: the poles are stable, but the simulated carriage keeps swinging, with the encoder's "
-                f"steps, the limit of the command and friction as it is: a finer encoder, or another law; "
-                f"{self._proposal}"
+                f"{self.headline}: the poles are stable, but the simulated {self.axis.units.word('carriage')} keeps "
+                "swinging, with the encoder's steps, the limit of the command and friction as it is: a finer encoder, "
+                f"or another law; {self._proposal}"
             )
         loop = self.loop
         recursion = abs(recursion_poles(self.law, self.clock)[0])
@@ -322,9 +324,11 @@ class ImpedanceAssessment(Viewed):
     def _proposal(self) -> str:
         if self.nearest is None:
             return "no law that is stable and does not swing was found nearby"
+        units = self.axis.units
         return (
-            f"nearest stable: mass {self.nearest['mass']:.4g} kg, damping "
-            f"{self.nearest['damping']:.4g} N/(m/s), filter {self.nearest['filter']:.4g} rad/s on both signals"
+            f"nearest stable: {units.word('mass')} {units.quantity(self.nearest['mass'], 'kg')}, damping "
+            f"{units.quantity(self.nearest['damping'], 'N/(m/s)')}, "
+            f"filter {self.nearest['filter']:.4g} rad/s on both signals"
         )
 
     def to_dict(self) -> dict[str, Any]:

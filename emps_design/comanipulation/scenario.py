@@ -20,6 +20,7 @@ from emps_design.laws.library import ip_velocity
 from emps_design.quantities import one_two_five
 from emps_design.request import Request, option, takes
 from emps_design.simulation.view import scenario_view
+from emps_design.units import Units
 from emps_design.view import View, Viewed
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
@@ -57,7 +58,7 @@ class Comanipulation(Viewed):
         """
         exact = self.nominal.plant(0)
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
-        own_words = [words for words in (self.taken, _fit_warning(exact)) if words]
+        own_words = [words for words in (self.taken, _fit_warning(exact, self.assessment.axis.units)) if words]
         refused = self.assessment
         return {
             **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
@@ -120,11 +121,11 @@ def run_comanipulation(axis: Axis, request: ComanipulationRequest, **options: An
     mass = controller.mass if request.mass is None else request.mass
     if mass is None:
         mass = usual_mass
-        taken.append(f"M_a = {mass:g} kg")
+        taken.append(f"M_a = {axis.units.quantity(mass, 'kg', 'g')}")
     damping = controller.damping if request.damping is None else request.damping
     if damping is None:
         damping = usual_damping
-        taken.append(f"B = {damping:g} N/(m/s)")
+        taken.append(f"B = {axis.units.quantity(damping, 'N/(m/s)', 'g')}")
     law = impedance_law(axis, mass, damping, request.filter, **options)
     task = _task(axis, law, request)
     nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
@@ -139,9 +140,8 @@ def run_comanipulation(axis: Axis, request: ComanipulationRequest, **options: An
         request.workers,
         progress=request.progress,
     )
-    words = (
-        f"{' and '.join(taken)}, not given: as in the paper's experiments, in proportion to the mass" if taken else ""
-    )
+    in_proportion = f"as in the paper's experiments, in proportion to the {axis.units.word('mass')}"
+    words = f"{' and '.join(taken)}, not given: {in_proportion}" if taken else ""
     return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, words)
 
 
@@ -166,14 +166,14 @@ def usual_law(axis: Axis) -> tuple[float, float]:
     return float(f"{MASS * size:.12g}"), float(f"{DAMPING * size:.12g}")
 
 
-def _fit_warning(exact: dict[str, Any]) -> str:
+def _fit_warning(exact: dict[str, Any], units: Units) -> str:
     """Return a warning if mass and damping fit the guided motion of the exact law poorly; empty otherwise."""
     if not exact["r2"] < FOLLOWED:
         return ""
     return (
-        f"apparent mass and damping are a poor fit to the force of this motion, r2 = {exact['r2']:.3g} at the "
-        "frequencies of the task: something else resists there; the error of the transparency is that of the "
-        "impedance itself"
+        f"apparent {units.word('mass')} and damping are a poor fit to the {units.word('force')} of this motion, "
+        f"r2 = {exact['r2']:.3g} at the frequencies of the task: something else resists there; the error of "
+        "the transparency is that of the impedance itself"
     )
 
 

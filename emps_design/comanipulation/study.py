@@ -22,6 +22,7 @@ from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, c
 from emps_design.control.sampled import MARGINAL
 from emps_design.laws.friction_model import PARAMETERS
 from emps_design.request import Request, option, takes
+from emps_design.units import Units
 
 MOST = 1_000_000  # plants; more would not fit into memory
 TOGETHER = 2_500  # plants whose poles are computed in one call, which cannot be interrupted
@@ -38,14 +39,6 @@ TWO_QUADRANT: dict[str, Any] = {
 }
 
 
-NOT_VARIED = {
-    "force_gain": "scales mass and friction alike, which are identified through it: an error of it is inside the box",
-    "filter": "is the law's own and known exactly",
-    "current loop, computation_delay, encoder": "one change at a time, see beyond",
-    "static friction, other effects": "as the axis file has them, in every plant; an effect can be added there",
-}
-
-
 @dataclass(frozen=True)
 class MismatchStudy:
     """Verdict, transparency and effort of every plant tried; the first ``corners`` rows are the corners.
@@ -55,7 +48,7 @@ class MismatchStudy:
     what else was changed, one thing at a time, with the worst verdict of the corners.
     """
 
-    axis: str
+    axis: Axis
     law: ImpedanceLaw
     mismatch: float
     seed: int
@@ -142,7 +135,8 @@ class MismatchStudy:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings: undefined numbers in :meth:`to_dict` and why, and worse verdicts beyond the mismatch."""
-        words = list(self.task.warnings)
+        words, units = list(self.task.warnings), self.axis.units
+        carriage = units.word("carriage")
         if not self.plants:
             words.append(
                 "stable_share_interval is undefined: no plants were drawn, stable_share is that of the corners"
@@ -152,17 +146,18 @@ class MismatchStudy:
         still = int(np.sum(self.verdict == VERDICTS.index("no_motion")))
         if still:
             words.append(
-                f"no verdict for {still} of {len(self.errors)} plants: the carriage stood when it was let go; what was "
-                "felt (mass, damping, r2, force_per_speed) is undefined for plants that never moved"
+                f"no verdict for {still} of {len(self.errors)} plants: the {carriage} stood when it was let go; what "
+                f"was felt ({units.word('mass')}, damping, r2, force_per_speed) is undefined for plants that "
+                "never moved"
             )
         if np.any(self.measures.diverged > 0):
             words.append("what was felt is undefined for plants whose simulation was broken off: the loop ran away")
         wanders = self.measures.wanders & np.isin(self.verdict, [VERDICTS.index(name) for name in CALM])
         if wanders.any():
-            speed = 1e3 * float(self.measures.drift[wanders].max())
-            who = f"{int(wanders.sum())} of {len(self.errors)} plants go" if self.mismatch else "the carriage goes"
+            speed = units.quantity(float(self.measures.drift[wanders].max()), "mm/s", ".2g")
+            who = f"{int(wanders.sum())} of {len(self.errors)} plants go" if self.mismatch else f"the {carriage} goes"
             words.append(
-                f"{who} on at up to {speed:.2g} mm/s, one or two encoder steps a period: no friction drives it, the "
+                f"{who} on at up to {speed}, one or two encoder steps a period: no friction drives it, the "
                 "encoder's steps do"
             )
         here = int(self.verdict.max())
@@ -190,14 +185,14 @@ class MismatchStudy:
             **self.measures.effort,
         }
         return {
-            "axis": self.axis,
+            "axis": self.axis.name,
             "law": self.law.to_dict(),
             "mismatch": self.mismatch,
             "seed": self.seed,
             "plants": self.plants,
             "task": self.task.to_dict(),
             "varied": list(PARAMETERS if self.split else ("mass", "viscous", "coulomb")),
-            "not_varied": NOT_VARIED,
+            "not_varied": _not_varied(self.axis.units),
             "beyond": list(self.beyond),
             "stable_share": share,
             "stable_share_interval": [low, high],
@@ -263,7 +258,7 @@ def mismatch_study(axis: Axis, law: ImpedanceLaw, request: StudyRequest) -> Mism
         worse = other.verdict > measures.verdict
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
     beyond = _verdicts_beyond(axis, with_errors(law, errors[: len(corners)]), task)
-    return MismatchStudy(axis.name, law, mismatch, seed, task, len(corners), errors, error, radius, measures, beyond)
+    return MismatchStudy(axis, law, mismatch, seed, task, len(corners), errors, error, radius, measures, beyond)
 
 
 def run_worst(axis: Axis, study: MismatchStudy) -> TaskRun:
@@ -323,6 +318,17 @@ def _verdicts_beyond(axis: Axis, laws: ImpedanceLaw, task: Task) -> tuple[dict[s
         verdicts = run_many(axis, [laws], task, machine=axis.replace(**change)).verdict
         outcomes.append({"what": what, "verdict": VERDICTS[int(verdicts.max())]})
     return tuple(outcomes)
+
+
+def _not_varied(units: Units) -> dict[str, str]:
+    """What a study does not vary, and why."""
+    return {
+        "force_gain": f"scales {units.word('mass')} and friction alike, which are identified through it: an error of "
+        "it is inside the box",
+        "filter": "is the law's own and known exactly",
+        "current loop, computation_delay, encoder": "one change at a time, see beyond",
+        "static friction, other effects": "as the axis file has them, in every plant; an effect can be added there",
+    }
 
 
 def _one_quadrant(values: dict[str, float]) -> dict[str, float]:

@@ -164,7 +164,7 @@ def pushed_task(
     ``free`` and ``watched`` [s] as in :func:`guided_task`.
     """
     if not np.isfinite(force) or force <= 0.0:
-        raise InputError(f"force: found {force:g} N, expected a push of more than 0 N")
+        raise InputError(f"push: found {force:g}, expected more than 0")
     n, release, end = _samples(period, duration, free, watched)
     t = np.arange(n) * period / (release * period / 5.0)  # the plan is written for 5 s
     corners = [0.0, 0.25, 0.5, 1.5, 2.0, 3.25, 3.75, 4.75, 5.0]
@@ -210,7 +210,11 @@ def fitted_task(
         task = pushed_task(period, force=force, **times)
         stuck = break_away(law, FrictionModel.of(axis))
         if force <= stuck:
-            words.append(f"a push of {force:g} N does not break the carriage away, which takes {stuck:.4g} N")
+            units = axis.units
+            words.append(
+                f"a push of {units.quantity(force, 'N', 'g')} does not break the {units.word('carriage')} away, "
+                f"which takes {units.quantity(stuck, 'N')}"
+            )
     else:
         fitted, scale = fitted_hand(axis, law)
         task = guided_task(period, hand=hand or fitted, scale=scale, **times)

@@ -19,7 +19,7 @@ def impedance_view(document: dict[str, Any], units: Units) -> View:
 def _parts(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     sampled, study = document["sampled"], document.get("mismatch")
     name, _, why = document["headline"].partition(": ")
-    yield Line(units.text(f"{name if document['verdict'] in CALM else name.upper()}: {why}"))
+    yield Line(f"{name if document['verdict'] in CALM else name.upper()}: {why}")
     yield Line(f"{document['axis']}: impedance law {law_in_words(document['law'], units)}")
     yield Line(f"exact estimates: poles of the sampled loop {'stable' if sampled['stable'] else 'UNSTABLE'}")
     released, simulated = (_spaced(sampled[key]) for key in ("verdict", "simulated"))
@@ -34,9 +34,9 @@ def _parts(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
         yield Line(f"equivalent cascaded loop, {stable} when sampled ({_spaced(loop['criterion'])}): {gain}")
         for warning in loop["warnings"]:
             if warning not in document["warnings"]:
-                yield Line(f"- {units.text(warning)}")
+                yield Line(f"- {warning}")
     for warning in document["warnings"]:
-        yield Line(f"- {units.text(warning)}")
+        yield Line(f"- {warning}")
 
 
 def _felt(document: dict[str, Any], units: Units) -> Table:
@@ -48,7 +48,7 @@ def _felt(document: dict[str, Any], units: Units) -> Table:
     }
     places = {"derived": "derived", "(30) as printed": "printed"}
     if document["law"]["force_sensor"]:
-        places = {"(28), measured force": "felt"}
+        places = {f"(28), measured {units.word('force')}": "felt"}
     rows = [(label, *(_three_digits(document[place][key]) for key in columns)) for label, place in places.items()]
     return Table(("", *map(units.label, columns.values())), rows, "Felt, with an ideal current loop")
 

@@ -122,7 +122,10 @@ def push_into_wall(
     """
     for name, value, unit in (("force", force, "N"), ("position", position, "m")):
         if not (np.isfinite(value) and value > 0.0):
-            raise InputError(f"{name}: found {value:g} {unit}, expected more than 0 {unit}")
+            raise InputError(
+                f"{axis.units.word(name)}: found {axis.units.quantity(value, unit, 'g')}, "
+                f"expected more than 0 {axis.units.unit(unit)}"
+            )
     period = axis.sampling.period
     n, release = round(duration / period), PUSHED * duration
     t = np.arange(n) * period

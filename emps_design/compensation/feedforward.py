@@ -27,6 +27,7 @@ from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.two_mass import LOWEST, RESONANCES, is_coupling, linear_coupling
 from emps_design.errors import EmpsError
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -115,7 +116,7 @@ def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
     """Every term that ``axis`` has, and a line for each of its effects that cannot be compensated."""
     terms, not_compensated = [*BASELINE], {}
     for name, entry in zip(names_of_effects(axis), axis.effects, strict=True):
-        reason = why_not(entry.effect)
+        reason = why_not(entry.effect, axis.units)
         if not reason:
             terms.append(name)
         elif entry.effect.delay is None and entry.effect.solver.lag is None:
@@ -133,12 +134,12 @@ def lateness(axis: Axis) -> float:
     return float(late)
 
 
-def why_not(effect: Effect) -> str:
+def why_not(effect: Effect, units: Units) -> str:
     """Return why no force of the present position and velocity stands for ``effect``; empty if one does."""
     if effect.rate is not None:
         return "it has a state of its own, which position and velocity do not give"
     if effect.channel != "plant":
-        return f"it acts in the {effect.channel}, not as a force of position and velocity"
+        return f"it acts in the {effect.channel}, not as a {units.word('force')} of position and velocity"
     if effect.over == "t":
         return "it goes by the time of one record, which a controller does not know"
     return ""

@@ -42,7 +42,6 @@ from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_l
 from emps_design.control.velocity.specification import closed_form_in_words
 from emps_design.control.view import force_view
 from emps_design.errors import InputError
-from emps_design.quantities import check_magnitude
 from emps_design.view import View, Viewed
 
 if TYPE_CHECKING:
@@ -245,15 +244,17 @@ class ForceLoopDesign(Viewed):
         worst = self.worst
         if worst.margins.stable:
             return ""
+        units = self.velocity_loop.axis.units
+        force = units.word("force")
         if worst.name == VELOCITY_LOOP:
             nearest = f"; {self.velocity_loop.nearest_in_words}" if self.nearest_stable and not worst.where else ""
-            where = where_in_words(worst.where, self.velocity_loop.axis.units)
+            where = where_in_words(worst.where, units)
             return f"the sampled velocity loop is unstable by itself, without contact{where and ' '}{where}{nearest}"
         if worst.where:
-            return f"the sampled force loop is unstable {where_in_words(worst.where, self.velocity_loop.axis.units)}"
+            return f"the sampled {force} loop is unstable {where_in_words(worst.where, units)}"
         limit = self.k_e1_max_sampled
-        return "the sampled force loop is unstable; " + (
-            f"the largest k_e1 that is stable is {limit:.5g} (m/s)/N"
+        return f"the sampled {force} loop is unstable; " + (
+            f"the largest k_e1 that is stable is {units.quantity(limit, '(m/s)/N', '.5g')}"
             if limit
             else "no k_e1 is stable, the velocity loop inside needs less bandwidth"
         )
@@ -281,26 +282,28 @@ class ForceLoopDesign(Viewed):
     def paper_reading(self) -> dict[str, Any]:
         """The loop as the paper writes it, T/(1 - T) with T = T_vc, and its poles [rad/s]."""
         loop = self.velocity_loop
+        force = loop.axis.units.word("force")
         return {
             "loop": "T_eo/(1 - T_eo) with T_eo = k_e1 k_c T_vc = T_vc, (11)",
             "static_gain": self.k_e1 * self.k_c,
             "poles": [[0.0, 0.0], [-(2.0 * loop.z_v - self._zero * loop.omega_0v) * loop.omega_0v, 0.0]],
-            "text": "tau_e = +k_c qd counts the operator's force as reference and result at once: positive feedback, "
-            "a pole at s = 0; it says nothing about stability in contact",
+            "text": f"tau_e = +k_c qd counts the operator's {force} as reference and result at once: positive "
+            "feedback, a pole at s = 0; it says nothing about stability in contact",
         }
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings on the design, instability first."""
         warnings: list[str] = []
+        force = self.velocity_loop.axis.units.word("force")
         if not self.stable:
-            warnings.append(f"the sampled force loop is unstable: largest pole {abs(self.poles[0]):.4g}")
+            warnings.append(f"the sampled {force} loop is unstable: largest pole {abs(self.poles[0]):.4g}")
         if not self.velocity_loop.sampled.stable:
             warnings.append("the sampled velocity loop inside it is unstable already, without contact")
         if self.worst.where and not self.worst.margins.stable:
             warnings.append(f"the {loop_in_words(self.worst, self.velocity_loop.axis.units)} is unstable")
         if self.hand + self.environment == 0.0:
-            warnings.append("no operator: without a hand or an environment nothing closes the force loop")
+            warnings.append(f"no operator: without a hand or an environment nothing closes the {force} loop")
         elif self.k_e1_max_continuous is None:
             warnings.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
         if self.k_e1_max_sampled is None:
@@ -389,13 +392,15 @@ def design_force_loop(
         ...
     emps_design.errors.InputError: k_e1: found 0 (m/s)/N, expected a positive number
     """
+    units = velocity_loop.axis.units
     if not math.isfinite(k_e1) or k_e1 <= 0.0:
-        raise InputError(f"k_e1: found {k_e1:g} (m/s)/N, expected a positive number")
+        raise InputError(f"k_e1: found {units.quantity(k_e1, '(m/s)/N', 'g')}, expected a positive number")
     for name, value, unit in (("hand", hand, "N/(m/s)"), ("environment", environment, "N/m")):
         if not math.isfinite(value) or value < 0.0:
-            raise InputError(f"{name}: found {value:g} {unit}, expected 0 or a positive number: an operator is passive")
-        check_magnitude(name, value, unit)
-    check_magnitude("k_e1", k_e1, "(m/s)/N", positive=True)
+            shown = units.quantity(value, unit, "g")
+            raise InputError(f"{name}: found {shown}, expected 0 or a positive number: an operator is passive")
+        units.check(name, value, unit)
+    units.check("k_e1", k_e1, "(m/s)/N", positive=True)
     if not 0 <= sensor_delay <= 1000:
         raise InputError(f"sensor delay: found {sensor_delay} samples, expected 0 to 1000")
     return ForceLoopDesign(velocity_loop, float(k_e1), float(hand), float(environment), sensor_delay, on_carriage)

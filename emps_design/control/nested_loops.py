@@ -225,7 +225,7 @@ def loop_in_words(loop: NestedLoop, units: Units = LINEAR) -> str:
     >>> loop_in_words(NestedLoop("whole loop", "plant input", Margins(stable=False), {"inertia": 3.0}))
     'whole loop with 3 times the inertia'
     """
-    return " ".join(filter(None, (loop.name, where_in_words(loop.where, units))))
+    return " ".join(filter(None, (units.words(loop.name), where_in_words(loop.where, units))))
 
 
 @dataclass(frozen=True)

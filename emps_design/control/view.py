@@ -194,7 +194,8 @@ def worst_in_words(worst: dict[str, Any], units: Units) -> str:
     if worst["stable"]:
         gain = number(worst["gain_margin"], 3)
         has = f"phase margin {number(worst['phase_margin_deg'], 3)} deg, gain margin {gain}"
-    return f"worst: {' '.join(filter(None, (worst['name'], where_in_words(worst.get('where', {}), units))))}: {has}"
+    loop = (units.words(worst["name"]), where_in_words(worst.get("where", {}), units))
+    return f"worst: {' '.join(filter(None, loop))}: {has}"
 
 
 def loop_in_words(document: dict[str, Any]) -> str:
@@ -406,7 +407,8 @@ def _with_band(value: float | None, band: list[float] | None, scale: float) -> s
 def force_view(document: dict[str, Any], units: Units) -> View:
     """What the document of ``force`` shows: stability, then gains and operator, the limits of k_e1, margins, poles."""
     operator, limits, reading = document["operator"], document["k_e1_max"], document["paper_reading"]
-    what = f"{document['axis']}: sampled force loop, around a velocity loop that runs without contact too,"
+    force = units.word("force")
+    what = f"{document['axis']}: sampled {force} loop, around a velocity loop that runs without contact too,"
     rows = [
         (units.words(label), number(value, 5), units.unit(unit))
         for label, value, unit in (
@@ -427,12 +429,12 @@ def force_view(document: dict[str, Any], units: Units) -> View:
     return (
         verdict_line(document["stable"], what),
         Line(worst_in_words(document["worst_loop"], units)),
-        Table(("", "value", "unit"), rows, f"Force loop around {loop_in_words(document)}"),
+        Table(("", "value", "unit"), rows, f"{force.capitalize()} loop around {loop_in_words(document)}"),
         Table(headings, by_place, f"Largest k_e1 [{units.unit('(m/s)/N')}]"),
-        Line(f"margins of the sampled force loop: {_in_one_line(document['margins'])}"),
+        Line(f"margins of the sampled {force} loop: {_in_one_line(document['margins'])}"),
         Line(f"continuous poles: {poles} rad/s"),
         Line(f"the paper's own reading, {reading['loop']}: poles {paper} rad/s"),
-        Line(units.text(reading["text"])),
+        Line(reading["text"]),
         Line(f"sign: {operator['sign']}"),
         *([Line(f"axis file with this controller: {document['out']}")] if "out" in document else []),
         *warning_lines(document["warnings"], units),

@@ -53,15 +53,13 @@ class Linear:
                 return self._scaled(other.value, other.constant)
             if not self.slopes:
                 return other._scaled(self.value, self.constant)
-            raise AxisError(
-                "law: found a product of two signals, expected one that is linear while the carriage slides"
-            )
+            raise AxisError("law: found a product of two signals, expected a law linear while the axis slides")
         return self._scaled(_value(other), other)
 
     def __truediv__(self, other: Any) -> Linear:
         if isinstance(other, Linear):
             if other.slopes:
-                raise AxisError("law: found a division by a signal, expected a law linear while the carriage slides")
+                raise AxisError("law: found a division by a signal, expected a law linear while the axis slides")
             return self._scaled(1.0 / other.value, 1.0 / other.constant)
         return self._scaled(1.0 / _value(other), 1.0 / other)
 

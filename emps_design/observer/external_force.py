@@ -24,6 +24,7 @@ from emps_design.effects import Motion
 from emps_design.effects.effect import ADDED
 from emps_design.errors import InputError
 from emps_design.records import Record
+from emps_design.units import LINEAR, Units
 
 # Indices of the kernel's gains, and of its memory.
 PERIOD, FORCE_GAIN, ALPHA, MASS, VISCOUS, COULOMB, OFFSET, REST = range(8)
@@ -378,13 +379,6 @@ def observe_online(
     return force
 
 
-REASONS = {
-    "break_away": "at rest friction takes up whatever is smaller",
-    "noise": "95 % of the quick changes of what is observed, which no slow force makes",
-    "parameter": "95 % of the force that errors of the parameters make on this motion, 2 % of each unless given",
-}
-
-
 @dataclass(frozen=True)
 class SmallestForce:
     """The smallest observable force ``value`` [N], the name of the ``bound`` that sets it, and all ``bounds`` [N]."""
@@ -392,10 +386,18 @@ class SmallestForce:
     value: float
     bound: str
     bounds: dict[str, float]
+    units: Units = LINEAR
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, with the reason for each bound."""
-        return {"value": self.value, "bound": self.bound, "bounds": self.bounds, "reasons": REASONS}
+        force = self.units.word("force")
+        reasons = {
+            "break_away": "at rest friction takes up whatever is smaller",
+            "noise": f"95 % of the quick changes of what is observed, which no slow {force} makes",
+            "parameter": f"95 % of the {force} that errors of the parameters make on this motion, 2 % of each unless "
+            "given",
+        }
+        return {"value": self.value, "bound": self.bound, "bounds": self.bounds, "reasons": reasons}
 
 
 def smallest_observable_force(axis: Axis, noise: float, parameter: float) -> SmallestForce:
@@ -414,4 +416,4 @@ def smallest_observable_force(axis: Axis, noise: float, parameter: float) -> Sma
             dry += entry.effect.dry(0.0, 0.0, 0.0, 0.0, (), tuple(entry.effect.values(entry.parameters)), b)
     bounds = {"break_away": float(b[2] + dry), "noise": float(noise), "parameter": float(parameter)}
     bound = max(bounds, key=lambda name: bounds[name])
-    return SmallestForce(bounds[bound], bound, bounds)
+    return SmallestForce(bounds[bound], bound, bounds, axis.units)

@@ -41,7 +41,8 @@ class KalmanForceObserver:
         noise = quantisation if position_noise is None else position_noise
         if not noise > 0:
             raise InputError(
-                f"{axis.name}: position noise {noise:g} m; give encoder_resolution in the axis, or position_noise > 0"
+                f"{axis.name}: position noise {axis.units.quantity(noise, 'm', 'g')}; "
+                "give encoder_resolution in the axis, or position_noise > 0"
             )
         self.axis, self.rest_velocity, self.position_noise = axis, rest_velocity, noise
         self._resistance, self._gain = Resistance(axis, left_out(axis)["kalman"]), axis.drive.gain
@@ -50,7 +51,8 @@ class KalmanForceObserver:
             bandwidth_hz = DEFAULT_CUTOFF_HZ if bandwidth_hz is None else bandwidth_hz
             force_rate = _force_rate_for(axis, bandwidth_hz, noise)
         if not force_rate > 0:
-            raise InputError(f"force rate: found {force_rate:g} N/sqrt(s), expected > 0")
+            rate = axis.units.quantity(force_rate, "N/sqrt(s)", "g")
+            raise InputError(f"{axis.units.word('force')} rate: found {rate}, expected > 0")
         self.force_rate = force_rate
         self._design = _SteadyKalman.of(axis, force_rate, noise)
         self._rows = [tuple(row) for row in self._design.transition.tolist()]

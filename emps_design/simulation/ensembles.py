@@ -270,12 +270,13 @@ def simulate_part(
 ) -> tuple[int, np.ndarray, dict[int, str]]:
     """Metrics of plants ``start`` to ``start + len(baselines)``: the start, one row per plant, reasons of failures."""
     axis = task["axis"]
+    mass = axis.units.word("mass")
     rows = np.full((len(baselines), len(METRICS)), np.nan)
     reasons: dict[int, str] = {}
     good = []
     for i, b in enumerate(baselines):
         if not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
-            reasons[start + i] = f"baseline {b.tolist()} is not a mass > 0 with friction >= 0, finite"
+            reasons[start + i] = f"baseline {b.tolist()} is not a {mass} > 0 with friction >= 0, finite"
         else:
             good.append(i)
     if _fits_lanes(axis):

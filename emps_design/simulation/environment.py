@@ -86,7 +86,7 @@ class Hand:
     def __post_init__(self) -> None:
         self.effect()
         if self.held and self.mass > 0.0:
-            raise InputError(f"hand: found {self.mass:g} kg and a held force, expected no mass or held=False")
+            raise InputError(f"hand: found mass={self.mass:g} with held=True, expected mass=0 or held=False")
 
     def effect(self) -> tuple[Effect, np.ndarray]:
         """The hand as an effect with its parameters; :class:`InputError` for a number out of its bounds."""
@@ -106,7 +106,7 @@ class Wall:
     def __post_init__(self) -> None:
         self.effect()
         if self.side not in (-1.0, 1.0):
-            raise InputError(f"wall: found side {self.side:g} at {self.position:g} m, expected side +1 or -1")
+            raise InputError(f"wall: found side {self.side:g}, expected +1 or -1")
 
     def effect(self) -> tuple[Effect, np.ndarray]:
         """The wall as an effect with its parameters; :class:`InputError` for a number out of its bounds."""

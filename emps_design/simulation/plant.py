@@ -284,11 +284,14 @@ class Plant:
     ) -> Inputs:
         """The inputs of the run that ``request`` describes, checked."""
         b, p = self.numbers(request.baseline, request.parameters)
-        hands, n, push = len(self._hands), reference.size, request.disturbance
+        hands, n, push, units = len(self._hands), reference.size, request.disturbance, self.axis.units
         if hands > 1 or (request.intention is not None and not hands):
-            raise InputError(f"intention: found {hands} hands at the carriage, expected one; see Plant.touched_by")
+            raise InputError(
+                f"intention: found {hands} hands at the {units.word('carriage')}, expected one; see Plant.touched_by"
+            )
         if not (np.isfinite(q0) and np.isfinite(request.v0)):
-            raise InputError(f"q0, v0: found {q0:g} m, {request.v0:g} m/s, expected finite numbers")
+            place, speed = units.quantity(q0, "m", "g"), units.quantity(request.v0, "m/s", "g")
+            raise InputError(f"q0, v0: found {place}, {speed}, expected finite numbers")
         return Inputs(
             baseline=b,
             parameters=p,
@@ -343,7 +346,8 @@ class Plant:
         p = self._p.copy() if parameters is None else np.concatenate([_EMPTY, *parameters])
         if b.shape != (4,) or not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
             raise InputError(
-                f"baseline: found {b.tolist()}, expected [mass > 0, viscous >= 0, coulomb >= 0, offset], finite"
+                f"baseline: found {b.tolist()}, expected [{self.axis.units.word('mass')} > 0, viscous >= 0, "
+                "coulomb >= 0, offset], finite"
             )
         if p.size != self._p.size or not np.isfinite(p).all():
             raise InputError(f"parameters: found {p.tolist()}, expected {self._p.size} finite numbers")
@@ -386,7 +390,8 @@ class Plant:
             good = int(np.argmin(np.abs(position) < 1e3))
         if good < n:
             at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
-            raise SimulationError(stepper.REASONS[reason], at * period, (float(position[at]), float(velocity[at])))
+            why = stepper.reason_of(reason, self.axis.units)
+            raise SimulationError(why, at * period, (float(position[at]), float(velocity[at])))
         return encoder, position, velocity, u, push if push.size else np.broadcast_to(0.0, n)
 
     def prepared(self, inputs: Inputs) -> Prepared:
@@ -472,7 +477,8 @@ class Plant:
         )  # fmt: skip
         if status != stepper.DONE:
             names = ", ".join(effect.name for effect in self.effects) or "none"
-            raise SimulationError(stepper.REASONS[status], k * inputs.period + within, tuple(y.tolist()), names)
+            why = stepper.reason_of(status, self.axis.units)
+            raise SimulationError(why, k * inputs.period + within, tuple(y.tolist()), names)
         return out, self._energy(ready, inputs.q0, inputs.v0, n * inputs.period) if inputs.energy else None
 
     def _energy(self, ready: Prepared, q0: float, v0: float, end: float) -> dict[str, float]:

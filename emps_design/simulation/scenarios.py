@@ -93,8 +93,8 @@ def multi_sine(
     return amplitude * q / np.abs(q).max()
 
 
-def force_ramp(period: float, rate: float, peak: float) -> np.ndarray:
-    """Force [N] that rises at ``rate`` [N/s] from 0 to ``peak`` [N] (a negative peak falls).
+def force_ramp(period: float, rate: float, peak: float, units: Units = PLAIN) -> np.ndarray:
+    """Force [N] that rises at ``rate`` [N/s] from 0 to ``peak`` [N] (a negative peak falls) on an axis of ``units``.
 
     >>> force_ramp(0.1, 10.0, 2.0)
     array([0., 1., 2.])
@@ -103,8 +103,9 @@ def force_ramp(period: float, rate: float, peak: float) -> np.ndarray:
     n = round(abs(peak) / (rate * period)) + 1
     if n > LONGEST:
         raise InputError(
-            f"rate: found {rate:g} N/s, so that a rise to {abs(peak):g} N takes {n * period:.4g} s; expected at most "
-            f"{LONGEST * period:.4g} s ({LONGEST} samples): raise it faster, or not as far"
+            f"rate: found {units.quantity(rate, 'N/s', 'g')}, so that a rise to {units.quantity(abs(peak), 'N', 'g')} "
+            f"takes {n * period:.4g} s; expected at most {LONGEST * period:.4g} s ({LONGEST} samples): "
+            "raise it faster, or not as far"
         )
     return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
 
@@ -327,14 +328,15 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     closed = axis.controller.kind != "none"
     push = record.f_ext
     if push is not None:
-        warnings.append("the record's f_ext acts on the simulated carriage")
+        warnings.append(f"the record's f_ext acts on the simulated {axis.units.word('carriage')}")
     axis = axis.supplied_by(record)
     if closed:
         how = {"period": record.period, "quantise": quantise}
         run = _closed_loop(axis, lambda axis: {**driven_by(axis, record), **how})
     else:
         run = _open_loop(axis, record, quantise)
-        warnings.append("axis without a controller: simulated in open loop from the recorded voltage")
+        voltage = axis.units.word("voltage")
+        warnings.append(f"axis without a controller: simulated in open loop from the recorded {voltage}")
     pairs = {
         "position": (record.q, run.q),
         "velocity": (np.gradient(record.q, record.period), np.gradient(run.q, record.period)),
@@ -435,28 +437,35 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
     >>> round(forces["static_friction"], 1)
     17.4
     """
+    units = axis.units
     if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"rate: found {rate:g} N/s, expected a positive number")
+        raise InputError(f"rate: found {units.quantity(rate, 'N/s', 'g')}, expected a positive number")
     mechanics = axis.mechanics
     peak = 3.0 * (mechanics.coulomb + abs(mechanics.offset)) + 20.0 if peak is None else float(peak)
     plant = Plant.of(axis)
     limits: list[float | None] = []
     runs, warnings = [], []
     for side in (1.0, -1.0):
-        push = force_ramp(axis.sampling.period, rate, side * peak)
+        push = force_ramp(axis.sampling.period, rate, side * peak, units)
         run = plant.open_loop(np.zeros(push.size), disturbance=push, q0=q0, quantise=False)
         moved = side * (run.position - q0)
         at = _break_away_sample(run, moved)
         limits.append(None if at is None else float(push[min(at, push.size - 1)]))
         if at is None:
-            warnings.append(_no_break_away(float(moved.max()), side * peak))
+            warnings.append(_no_break_away(float(moved.max()), side * peak, units))
         runs.append(run)
     step = rate * axis.sampling.period
     if any(limit is not None and abs(limit) <= step for limit in limits):
-        alone = "the carriage leaves without a push: the force on it at rest exceeds its friction"
+        alone = (
+            f"the {units.word('carriage')} leaves without a push: the {units.word('force')} on it at rest exceeds its "
+            "friction"
+        )
         return Breakaway(axis, rate, peak, None, None, runs[0], (alone,))
     if any(limit is not None and step > COARSE * abs(limit) for limit in limits):
-        warnings.append(f"the push rises by {step:.3g} N from sample to sample, the force is as coarse; lower `rate`")
+        warnings.append(
+            f"the push rises by {units.quantity(step, 'N', '.3g')} from sample to sample, the {units.word('force')} is "
+            "as coarse; lower `rate`"
+        )
     return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
 
 
@@ -472,13 +481,14 @@ def _break_away_sample(run: Run, moved: np.ndarray) -> int | None:
     return int(away[0]) if away.size else None
 
 
-def _no_break_away(most: float, peak: float) -> str:
+def _no_break_away(most: float, peak: float, units: Units) -> str:
     """Return a warning that the carriage did not break away up to ``peak`` [N] and moved at ``most`` [m]."""
+    carriage, until = units.word("carriage"), units.quantity(peak, "N", "g")
     if most <= 0.0:
-        return f"the carriage held to {peak:g} N; raise `peak`"
+        return f"the {carriage} held to {until}; raise `peak`"
     return (
-        f"the carriage moved {1e3 * most:.3g} mm until {peak:g} N, and leaves with {1e3 * MOVED:g} mm; "
-        "raise `peak` or lower `rate`"
+        f"the {carriage} moved {units.quantity(most, 'mm', '.3g')} until {until}, and leaves with "
+        f"{units.quantity(MOVED, 'mm', '.2g')}; raise `peak` or lower `rate`"
     )
 
 
@@ -513,7 +523,7 @@ class Followed(Viewed):
             "units": {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"},
             "run": run.to_dict(),
             "warnings": list(self.warnings),
-            **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst)} {HELD}"}),
+            **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst, self.axis.units)} {HELD}"}),
         }
 
     def view(self) -> View:
@@ -533,7 +543,9 @@ def follow(
     how = {"q_ref": q_ref, "disturbance": f_ext, "voltage_noise": excitation}
     run = replace(_closed_loop(axis, lambda axis: how), excitation=excitation)
     clipped = float(np.mean(np.abs(run.u) >= axis.drive.command_limit))
-    warnings = (f"the voltage is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
+    warnings = (
+        (f"the {axis.units.word('voltage')} is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
+    )
     return Followed(axis, run, warnings)
 
 

@@ -33,7 +33,7 @@ def scenario_view(document: dict[str, Any], units: Units) -> View:
     >>> scenario_view(breakaway, Units("rotary"))[0].rows
     [('forward', '0.0123', 'N m')]
     """
-    headline = [Line(units.text(document["headline"]))] if "headline" in document else []
+    headline = [Line(document["headline"])] if "headline" in document else []
     rows = list(_rows(document, document.get("units", {}), units))
     title = f"{document['scenario']}, axis {document['axis']}"
     return (*headline, Table(("quantity", "value", "unit"), rows, title))

@@ -98,12 +98,12 @@ class ImpedanceLaw:
     reference_velocity: float = 0.0
 
     def __post_init__(self) -> None:
-        _finite("mass M_a", self.mass, "kg", 0.0, open_below=True)
-        _finite("damping B", self.damping, "N/(m/s)", 0.0)
-        _finite("stiffness K", self.stiffness, "N/m", 0.0)
-        _finite("rest position q_0", self.rest_position, "m")
-        _finite("reference velocity qd_0", self.reference_velocity, "m/s")
-        _finite("Coulomb factor", self.coulomb_factor, "", 0.0)
+        _finite("M_a", self.mass, 0.0, open_below=True)
+        _finite("damping B", self.damping, 0.0)
+        _finite("stiffness K", self.stiffness, 0.0)
+        _finite("rest position q_0", self.rest_position)
+        _finite("reference velocity qd_0", self.reference_velocity)
+        _finite("Coulomb factor", self.coulomb_factor, 0.0)
         for name, value in (("filter", self.filter), ("current filter", self.current_filter)):
             if value is not None and (math.isnan(value) or value <= 0.0):
                 raise InputError(f"{name}: found {value:g} rad/s, expected more than 0 (inf: unfiltered)")
@@ -235,14 +235,12 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
     return law_with(np.stack(np.broadcast_arrays(*gains), axis=-1).astype(float), delay)
 
 
-def _finite(name: str, value: float, unit: str, lower: float = -math.inf, open_below: bool = False) -> None:
+def _finite(name: str, value: float, lower: float = -math.inf, open_below: bool = False) -> None:
     if not math.isfinite(value) or value < lower or (open_below and value == lower):
         if not math.isfinite(value):
-            raise InputError(
-                f"{name}: found {value:g}, expected a finite number {f'[{unit}]' if unit else ''}".rstrip()
-            )
+            raise InputError(f"{name}: found {value:g}, expected a finite number")
         bound = f"{'more than' if open_below else 'at least'} {lower:g}"
-        raise InputError(f"{name}: found {value:g} {unit}".rstrip() + f", expected {bound} {unit}".rstrip())
+        raise InputError(f"{name}: found {value:g}, expected {bound}")
 
 
 @dataclass(frozen=True)

@@ -92,19 +92,26 @@ from emps_design.simulation.kernels.motion import (
     turning,
 )
 from emps_design.simulation.kernels.smooth_period import SPEEDS, begin, feeling, slide
+from emps_design.units import Units
 
 DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # status of :func:`carry`
 _SHORTEST = 1e-12  # s, a step that must be shorter than this does not converge
 
 RUNAWAY, MASSLESS = 4, 5  # further status of a run
-REASONS = {
-    DIVERGED: "the motion left every bound (1000 m, 1000 m/s) or became not a number",
-    NO_STEP: "no step is short enough for the tolerance",
-    CHATTER: "more than 2000 events in one sampling period",
-    MASSLESS: "the effects leave no mass on the encoder's side",
-    RUNAWAY: "the loop is unstable: the voltage has swung from limit to limit 40 times, each within 0.2 s",
-}
 _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; above SNAP of the effects
+
+
+def reason_of(status: int, units: Units) -> str:
+    """The reason why a run ended with ``status``, in the units of its axis."""
+    place, speed = units.quantity(1000.0, "m"), units.quantity(1000.0, "m/s")
+    return {
+        DIVERGED: f"the motion left every bound ({place}, {speed}) or became not a number",
+        NO_STEP: "no step is short enough for the tolerance",
+        CHATTER: "more than 2000 events in one sampling period",
+        MASSLESS: f"the effects leave no {units.word('mass')} on the encoder's side",
+        RUNAWAY: f"the loop is unstable: the {units.word('voltage')} has swung from limit to limit 40 times, each "
+        "within 0.2 s",
+    }[status]
 
 
 @fused
