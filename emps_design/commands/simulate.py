@@ -142,7 +142,7 @@ def _write(out: Path, result: Any) -> None:
     if out.suffix == ".npz":
         result.run.save(out)
     else:
-        result.run.to_csv(out, result.axis.units, mapped=bool(result.axis.record.named))
+        result.run.to_csv(out, mapped=bool(result.axis.record.named))
 
 
 def _draw(path: Path, result: Any) -> None:

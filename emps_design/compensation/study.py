@@ -134,7 +134,7 @@ class Compensation(Viewed):
             Table(("all together", "rms", "unit"), [(words(label), rms, self.unit) for label, rms in totals]),
             Line(f"wrong: by {100 * self.mismatch:g} %, phases by {self.phase_deg:g} deg, the way that does more harm"),
             *([Line(f"{ON_ERROR.capitalize()}.")] if self.feedforward.terms else []),
-            *(Line(self.axis.units.text(cure["advice"])) for cure in self.feedback),
+            *(Line(cure["advice"]) for cure in self.feedback),
         )
 
 
@@ -296,9 +296,10 @@ def _farther(without: float, achieved: float, trial: Trial) -> str:
     """Return a clause that the feed-forward overshoots more than the law alone; empty if it does not."""
     if not achieved > max(1.05 * without, 1e-3 * float(np.ptp(trial.wanted))):
         return ""
-    unit = "mm/s" if trial.law.follows == "velocity" else "mm"
+    base = "mm/s" if trial.law.follows == "velocity" else "mm"
+    farther, before = (trial.axis.units.quantity(size, base, ".3g") for size in (achieved, without))
     return (
-        f", and the axis goes up to {1e3 * achieved:.3g} {unit} beyond the reference, {1e3 * without:.3g} {unit} "
+        f", and the axis goes up to {farther} beyond the reference, {before} "
         "without feed-forward, which lags behind instead: the limit does not let it follow; ask for less acceleration"
     )
 

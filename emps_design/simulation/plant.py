@@ -255,14 +255,15 @@ class Plant:
         Raises :class:`SimulationError` with time, state and effect if the simulation cannot continue.
         """
         period = self._period(request)
-        q_ref = signal(request.q_ref, "q_ref", "m")
+        own = self.axis.units.unit
+        q_ref = signal(request.q_ref, "q_ref", own("m"))
         law = request.law or law_of(self.axis, period)
         if request.reference is None:
             reference = law.reference(q_ref, period)
         else:
-            reference = signal(request.reference, "reference", "m or m/s", q_ref.size)
+            reference = signal(request.reference, "reference", f"{own('m')} or {own('m/s')}", q_ref.size)
         noise = request.voltage_noise
-        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", "V", q_ref.size)
+        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", own("V"), q_ref.size)
         q0 = float(q_ref[0]) if request.q0 is None else float(request.q0)
         return self._simulate(self._inputs(request, law, reference, q0, noise), request.method, q_ref)
 
@@ -272,7 +273,7 @@ class Plant:
 
         The voltage limit applies; ``command`` effects add to ``u``.
         """
-        u = signal(request.u, "u", "V")
+        u = signal(request.u, "u", self.axis.units.unit("V"))
         inputs = self._inputs(request, None, u, request.q0, _EMPTY)
         return self._simulate(inputs, request.method, np.full(u.size, np.nan))
 
@@ -305,7 +306,7 @@ class Plant:
             tolerance=request.tolerance,
             law=law,
             reference=reference,
-            push=_EMPTY if push is None else signal(push, "disturbance", "N", n),
+            push=_EMPTY if push is None else signal(push, "disturbance", units.unit("N"), n),
             noise=noise,
             motor=motor_rows(self.axis.drive, request.supply, request.enable, n),
         )
@@ -338,6 +339,7 @@ class Plant:
             lost_events=int(tally[0]) - kept,
             energy=balance,
             name=self.axis.name,
+            units=self.axis.units,
         )
 
     def numbers(self, baseline: Any = None, parameters: Any = None) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -106,7 +106,7 @@ class Run(Viewed):
     changes, or the motor is switched off), ``f_ext`` [N] the external force that a sensor on the carriage reads.
     ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick, break-away and guard;
     ``lost_events`` counts those that did not fit. ``energy`` [J] is the balance if it was requested, ``excitation`` [V]
-    the signal added to the controller's output, if any.
+    the signal added to the controller's output, if any. ``units`` are those of the axis.
     """
 
     q_ref: np.ndarray
@@ -122,6 +122,7 @@ class Run(Viewed):
     energy: dict[str, float] | None = None
     name: str = "simulation"
     excitation: np.ndarray | None = None
+    units: Units = PLAIN
 
     @classmethod
     def joined(cls, runs: Sequence[Run]) -> Run:
@@ -194,6 +195,7 @@ class Run(Viewed):
             "lost_events": self.lost_events,
             "energy": self.energy,
             "name": self.name,
+            "units": asdict(self.units),
         }
         with write_aside(path) as aside, open(aside, "wb") as file:
             np.savez(
@@ -207,12 +209,12 @@ class Run(Viewed):
                 run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
             )
 
-    def to_csv(self, path: str | Path, units: Units = PLAIN, mapped: bool = False) -> None:
+    def to_csv(self, path: str | Path, *, mapped: bool = False) -> None:
         """Write every signal to ``path`` as a table with units in the titles and 17 digits, so nothing is lost.
 
-        ``units`` are those of the axis; ``mapped``: the axis file maps other titles, so a column marks these as plain.
+        ``mapped``: the axis file maps other titles, so a column marks these as plain.
         """
-        titles = ",".join(f"{name} [{units.unit(DESCRIBED[name][1])}]" for name in self.signals)
+        titles = ",".join(f"{name} [{self.units.unit(DESCRIBED[name][1])}]" for name in self.signals)
         columns = np.column_stack(list(self.signals.values()))
         if mapped:
             titles, columns = f"{titles},{RECORD}", np.column_stack([columns, np.ones(len(columns))])
@@ -229,14 +231,17 @@ class Run(Viewed):
                 optional = [name for name in OPTIONAL if name in archive]
                 signals = {name: archive[name] for name in (*STORED, "events", "force_gain", *optional)}
                 plain = json.loads(archive["run"].tobytes())
+                units = Units(**plain.pop("units", {}))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = " ".join(str(error).split())
             raise RecordError(f"{path}: not a simulated run ({reason}); expected an .npz of Run.save") from error
         gain = signals.pop("force_gain")
-        return cls(**signals, **plain, force_gain=gain if gain.ndim else float(gain))
+        return cls(**signals, **plain, units=units, force_gain=gain if gain.ndim else float(gain))
 
     def to_dict(self) -> dict[str, Any]:
         """Length, events and energy as plain data; the signals stay in :meth:`save`."""
+        words, unit = self.units.words, self.units.unit
+        described = {name: DESCRIBED[name] for name in self.signals}
         return {
             "name": self.name,
             "samples": len(self),
@@ -244,19 +249,20 @@ class Run(Viewed):
             "crossings": self.crossings.tolist(),
             "stick_intervals": self.stick_intervals.tolist(),
             "energy": self.energy,
-            "signals": {name: {"label": DESCRIBED[name][0], "unit": DESCRIBED[name][1]} for name in self.signals},
+            "signals": {name: {"label": words(label), "unit": unit(base)} for name, (label, base) in described.items()},
         }
 
     def view(self) -> View:
         """Length, time at rest and the largest signals."""
+        unit, word = self.units.unit, self.units.word
         at_rest = float(sum(end - begin for begin, end in self.stick_intervals))
         rows = (
             ("samples", len(self), ""),
             ("period", self.period, "s"),
             ("at rest", at_rest, "s"),
-            ("largest speed", float(np.max(np.abs(self.v))), "m/s"),
-            ("largest motor force", float(np.max(np.abs(self.force))), "N"),
-            ("largest voltage", float(np.max(np.abs(self.u))), "V"),
+            ("largest speed", float(np.max(np.abs(self.v))), unit("m/s")),
+            (f"largest motor {word('force')}", float(np.max(np.abs(self.force))), unit("N")),
+            (f"largest {word('voltage')}", float(np.max(np.abs(self.u))), unit("V")),
         )
         return (Table(("", "value", "unit"), rows, self.name),)
 

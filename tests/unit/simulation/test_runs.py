@@ -31,7 +31,7 @@ def test_an_axis_with_titles_of_its_own_reads_its_runs(run, tmp_path):
     columns = {"time": {"column": "Zeit"}, "position": {"column": "Lageistwert", "unit": "mm"}}
     axis = machine("emps2019").replace(record=columns)
     run.save(tmp_path / "run.npz")
-    run.to_csv(tmp_path / "run.csv", axis.units, mapped=True)
+    run.to_csv(tmp_path / "run.csv", mapped=True)
     for name in ("run.npz", "run.csv"):
         record = import_record(tmp_path / name, axis)
         np.testing.assert_array_equal(record.q, run.q)
