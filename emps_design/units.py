@@ -308,12 +308,12 @@ class Units:
         return check_magnitude(name, value, self.unit(base), positive)
 
     def display(self, size: float, base: str) -> tuple[str, float]:
-        """The unit in which ``size`` [SI of ``base``] is displayed, and the factor to it.
+        """The unit in which ``size`` [SI of ``base``, perhaps this axis's own unit] is displayed, and the factor.
 
         >>> Units("rotary").display(0.5, "m"), Units("rotary").display(3e-6, "m"), Units().display(0.25, "m")
         (('deg', 57.29577951308232), ('µrad', 1000000.0), ('mm', 1000.0))
         """
-        if self.rotary and base == "m":
+        if self.rotary and base in ("m", "rad"):
             return ("µrad", 1e6) if 0.0 < abs(size) < 1e-4 else ("deg", 1.0 / _DEG)
         return display_unit(size, self.unit(base))
 

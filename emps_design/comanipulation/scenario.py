@@ -60,6 +60,7 @@ class Comanipulation(Viewed):
         nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
         own_words = [words for words in (self.taken, _fit_warning(exact, self.assessment.axis.units)) if words]
         refused = self.assessment
+        unit = refused.axis.units.unit
         return {
             **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
             "scenario": "comanipulation",
@@ -72,7 +73,7 @@ class Comanipulation(Viewed):
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
             "peak_voltage": exact["peak_voltage"],
             "effort": exact["effort"],
-            "units": {"apparent_mass": "kg", "apparent_damping": "N/(m/s)", "peak_voltage": "V"},
+            "units": {"apparent_mass": unit("kg"), "apparent_damping": unit("N/(m/s)"), "peak_voltage": unit("V")},
             "seed": self.study.seed,
             "plants": self.study.plants,
             "mismatch": self.study.mismatch,

@@ -52,7 +52,7 @@ def gains_view(document: dict[str, Any], units: Units) -> View:
         Line("difference equation, every sample:"),
         *(Line(f"    {line}", "code") for line in document["difference_equation"]["lines"]),
         *([Line(f"axis file with this controller: {document['out']}", "code")] if "out" in document else []),
-        *warning_lines(document["warnings"], units),
+        *warning_lines(document["warnings"]),
         *(_suggestion(document["suggestion"], units) if "suggestion" in document else ()),
         *(_position_loop(document["position_loop"], units) if "position_loop" in document else ()),
         *(_kept_loops(document["kept_position_loop"]["loops"]) if "kept_position_loop" in document else ()),
@@ -67,7 +67,7 @@ def velocity_loop_view(document: dict[str, Any], units: Units) -> View:
         verdict_line(document["sampled"]["stable"], what_is_judged(document)),
         _gains(document, units),
         _margins(document),
-        *warning_lines(document["warnings"], units),
+        *warning_lines(document["warnings"]),
     )
 
 
@@ -76,9 +76,9 @@ def verdict_line(stable: bool, what: str) -> Line:
     return Line(f"{what} is stable", "good") if stable else Line(f"{what} is UNSTABLE", "bad")
 
 
-def warning_lines(warnings: list[str], units: Units) -> list[Line]:
+def warning_lines(warnings: list[str]) -> list[Line]:
     """The warnings of a document, a line each."""
-    return [Line(f"note: {units.text(warning)}") for warning in warnings]
+    return [Line(f"note: {warning}") for warning in warnings]
 
 
 def _gains(document: dict[str, Any], units: Units) -> Table:
@@ -286,9 +286,9 @@ def _suggestion(suggestion: dict[str, Any], units: Units) -> Iterator[Line | Tab
     if "model" in suggestion:
         yield Line(f"found on {suggestion['model']}, then tried on the data")
     for name, side in sides:
-        yield Line(f"what binds first, {name}: {units.text(side['limits']['binding'])}")
+        yield Line(f"what binds first, {name}: {side['limits']['binding']}")
     if suggestion.get("these_gains"):
-        yield Line(units.text(suggestion["these_gains"]))
+        yield Line(suggestion["these_gains"])
     if table_of_filter is None:
         yield Line("no notch or low-pass makes it a tenth faster")
 
@@ -369,7 +369,7 @@ def _load_range(load_range: dict[str, Any], units: Units) -> View:
     return (
         Table((*vary, *(name for name, _, _ in columns)), rows, "Margins of these gains over the range, sampled"),
         Table(headings, kept, "Gains that hold"),
-        Line(units.text(load_range["text"])),
+        Line(load_range["text"]),
     )
 
 
@@ -437,7 +437,7 @@ def force_view(document: dict[str, Any], units: Units) -> View:
         Line(reading["text"]),
         Line(f"sign: {operator['sign']}"),
         *([Line(f"axis file with this controller: {document['out']}")] if "out" in document else []),
-        *warning_lines(document["warnings"], units),
+        *warning_lines(document["warnings"]),
     )
 
 

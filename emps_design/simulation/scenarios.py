@@ -267,6 +267,7 @@ class Replay(Viewed):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data: errors with units, the run, and warnings."""
+        unit = self.axis.units.unit
         return {
             "scenario": "replay",
             "axis": self.axis.name,
@@ -277,7 +278,7 @@ class Replay(Viewed):
             "relative_error_percent": self.relative_error_percent,
             "rms_error": self.rms_error,
             "mean_absolute_error": self.mean_absolute_error,
-            "units": {"relative_error_percent": "%", **ERRORS},
+            "units": {"relative_error_percent": "%", **{name: unit(base) for name, base in ERRORS.items()}},
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }
@@ -399,6 +400,7 @@ class Breakaway(Viewed):
     def to_dict(self) -> dict[str, Any]:
         """Break-away forces with units."""
         friction = constant = None
+        unit = self.axis.units.unit
         if self.forward is not None and self.backward is not None:
             friction, constant = 0.5 * (self.forward - self.backward), 0.5 * (self.forward + self.backward)
         forces = ("peak", "forward", "backward", "static_friction", "constant_force")
@@ -411,7 +413,7 @@ class Breakaway(Viewed):
             "backward": self.backward,
             "static_friction": friction,
             "constant_force": constant,
-            "units": {"rate": "N/s", **dict.fromkeys(forces, "N")},
+            "units": {"rate": unit("N/s"), **dict.fromkeys(forces, unit("N"))},
             "run": self.run.to_dict(),
             "warnings": list(self.warnings),
         }
@@ -493,6 +495,7 @@ def _no_break_away(most: float, peak: float, units: Units) -> str:
 
 
 HELD = "is unstable; only limits hold it"
+FOLLOWED = {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"}  # units of what is followed
 
 
 @dataclass(frozen=True)
@@ -520,7 +523,7 @@ class Followed(Viewed):
             },
             "saturated_share": float(np.mean(np.abs(run.u) >= limit)),
             "worst_loop": worst.to_dict(),
-            "units": {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"},
+            "units": {name: self.axis.units.unit(base) for name, base in FOLLOWED.items()},
             "run": run.to_dict(),
             "warnings": list(self.warnings),
             **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst, self.axis.units)} {HELD}"}),

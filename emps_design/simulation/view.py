@@ -29,7 +29,7 @@ NO_LINE = (
 def scenario_view(document: dict[str, Any], units: Units) -> View:
     """The headline of the ``document`` of a scenario, where it has one, and a table of its numbers.
 
-    >>> breakaway = {"scenario": "breakaway", "axis": "joint", "forward": 0.0123, "units": {"forward": "N"}}
+    >>> breakaway = {"scenario": "breakaway", "axis": "joint", "forward": 0.0123, "units": {"forward": "N m"}}
     >>> scenario_view(breakaway, Units("rotary"))[0].rows
     [('forward', '0.0123', 'N m')]
     """

@@ -21,7 +21,9 @@ from emps_design.errors import InputError
 from emps_design.observer import KalmanForceObserver, smallest_observable_force
 from emps_design.simulation.kernels import hold_loop
 from emps_design.simulation.plant import Plant
+from emps_design.simulation.run import Run
 from emps_design.simulation.scenarios import _no_break_away, breakaway, force_ramp
+from emps_design.simulation.view import scenario_view
 
 KINDS = {
     "linear, V": ("linear", {"command": "voltage"}),
@@ -158,3 +160,30 @@ def test_a_linear_axis_has_millimetres_and_newtons():
     assert "makes the released carriage creep at up to 12.3 mm/s; a Coulomb factor of 0.9 rules it out" in text
     assert "comes to rest up to 1.2e+04 N/m; beyond" in text
     assert "largest_wall_stiffness is unbounded: stable up to 1 GN/m" in text
+
+
+def test_a_run_and_its_file_have_the_units_of_the_axis(axis, tmp_path):
+    run = Plant.of(axis).open_loop(np.zeros(20))
+    run.save(tmp_path / "run.npz")
+    for one in (run, Run.load(tmp_path / "run.npz")):
+        assert one.units == axis.units
+        (table,) = one.view()
+        words = [text for name, _, unit in table.rows for text in (name, unit)]
+        words += [text for signal in one.to_dict()["signals"].values() for text in signal.values()]
+        assert [axis.units.text(text) for text in words] == words
+
+
+def test_a_document_has_the_units_of_its_axis_and_its_view_readable_ones():
+    joint = axis_of("rotary, A").replace(mechanics={"offset": 0.0})
+    found = breakaway(joint, rate=200.0)
+    assert found.to_dict()["units"] == {
+        "rate": "N m/s",
+        **dict.fromkeys(("peak", "forward", "backward", "static_friction", "constant_force"), "N m"),
+    }
+    followed = {
+        "scenario": "reference",
+        "axis": "axis",
+        "tracking_error": {"rms": 0.012},
+        "units": {"tracking_error": "rad"},
+    }
+    assert scenario_view(followed, joint.units)[-1].rows == [("tracking error rms", "0.687549", "deg")]
