@@ -59,7 +59,9 @@ def filled(text: str) -> str:
 
 def on_a_terminal(line: str) -> list[str]:
     """``line`` as a terminal of 80 columns wraps it at words."""
-    return textwrap.wrap(line, 80, break_long_words=False, break_on_hyphens=False) if len(line) > 80 else [line.rstrip()]
+    if len(line) <= 80:
+        return [line.rstrip()]
+    return textwrap.wrap(line, 80, break_long_words=False, break_on_hyphens=False)
 
 
 def measured() -> str:
