@@ -317,6 +317,19 @@ class Units:
             return ("µrad", 1e6) if 0.0 < abs(size) < 1e-4 else ("deg", 1.0 / _DEG)
         return display_unit(size, self.unit(base))
 
+    def readable(self, size: float, base: str) -> tuple[str, float]:
+        """The unit in which ``size`` [SI of ``base``] is easy to read on this axis, and the factor to it.
+
+        >>> joint = Units("rotary", "current", "A")
+        >>> joint.readable(0.0123, "V"), Units().readable(0.0123, "V"), joint.readable(2e-3, "s")
+        (('mA', 1000.0), ('mV', 1000.0), ('ms', 1000.0))
+        >>> joint.readable(0.25, "m")[0], joint.readable(12.0, "N")
+        ('deg', ('N m', 1.0))
+        """
+        name, factor = display_unit(size, base)
+        unit, more = self.read(name)
+        return unit, factor * more
+
     def factor(self, unit: str, column: str, scale: float | None = None) -> float:
         """Factor from ``unit`` to SI, or for a command to its unit on this axis.
 

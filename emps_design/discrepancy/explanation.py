@@ -48,7 +48,7 @@ from emps_design.discrepancy.unexplained import (
 )
 from emps_design.discrepancy.unknown_force import MissingForce, missing_force
 from emps_design.discrepancy.verdict import Validation, wrong_numbers
-from emps_design.discrepancy.words import changed, filled, label_of, readable
+from emps_design.discrepancy.words import changed, filled, label_of
 from emps_design.effects import Effect, Parameter, kind_of
 from emps_design.effects.effect import COULOMB, OFFSET
 from emps_design.errors import RecordError, SimulationError
@@ -270,7 +270,7 @@ def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[st
 
 
 def _rounded(parameter: Parameter, size: float, units: Units) -> str:
-    unit, factor = readable(size, parameter.unit, units)
+    unit, factor = units.readable(size, parameter.unit)
     name = units.words(parameter.name.replace("_", " "))
     return f"{name} {float(f'{size * factor:.2g}'):g} {unit}".rstrip()
 

@@ -16,7 +16,6 @@ from emps_design.discrepancy.noise_floor import Floor
 from emps_design.discrepancy.residual_views import EVERYWHERE, View as ResidualView
 from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
 from emps_design.discrepancy.view import diagnosis_view
-from emps_design.discrepancy.words import readable
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.quantities import inside, rounded
 from emps_design.units import Units
@@ -86,7 +85,7 @@ def in_unit(value: float, std: float, unit: str, units: Units) -> str:
     >>> in_unit(0.0016, 2e-6, "s", Units()), in_unit(0.02, 1e-6, "m", Units("rotary"))
     ('1.600 +- 0.002 ms', '1.14592 +- 0.00006 deg')
     """
-    shown, factor = readable(value, unit, units)
+    shown, factor = units.readable(value, unit)
     if std <= 0:
         return f"{value * factor:.4g} {shown}".rstrip()
     places = max(0, -math.floor(math.log10(std * factor)))

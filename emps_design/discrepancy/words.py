@@ -9,7 +9,7 @@ import numpy as np
 
 from emps_design.discrepancy.least_squares import BASELINE
 from emps_design.effects import Effect, get_effect, kind_of
-from emps_design.quantities import display_unit, inside
+from emps_design.quantities import inside
 from emps_design.units import Units
 
 
@@ -47,20 +47,6 @@ def listed(names: Sequence[str], units: Units) -> str:
     'inertia change, backlash'
     """
     return ", ".join(inside(label_of(name, units)) for name in names)
-
-
-def readable(size: float, base: str, units: Units) -> tuple[str, float]:
-    """The unit in which ``size`` [SI of ``base``] is easy to read on an axis, and the factor to it.
-
-    >>> joint = Units("rotary", "current", "A")
-    >>> readable(0.0123, "V", joint), readable(0.0123, "V", Units()), readable(2e-3, "s", joint)
-    (('mA', 1000.0), ('mV', 1000.0), ('ms', 1000.0))
-    >>> readable(0.25, "m", joint)[0], readable(12.0, "N", joint)
-    ('deg', ('N m', 1.0))
-    """
-    name, factor = display_unit(size, base)
-    unit, more = units.read(name)
-    return unit, factor * more
 
 
 def changed(before: np.ndarray, after: np.ndarray, places: Sequence[int], units: Units) -> str:

@@ -46,7 +46,7 @@ class Report:
     @property
     def advice(self) -> Advice:
         """The advice on the design."""
-        return advise("report", self._document)
+        return advise("report", self._document, units=self.results.velocity.axis.units)
 
     @property
     def reason(self) -> str:
@@ -134,7 +134,7 @@ def assemble_report(request: ReportRequest) -> Report:
     axis, notes = basis.axis, basis.notes
     tell("designing the loops", 0.4)
     around, taken = _force_loop(axis, request)
-    notes += (f"Force loop: {taken}, not asked for.",) if taken else ()
+    notes += (f"{axis.units.word('force').capitalize()} loop: {taken}, not asked for.",) if taken else ()
     velocity = _velocity_loop(axis, request)
     measured = None
     if response is not None:
@@ -261,10 +261,11 @@ def _judged(assessed: ImpedanceAssessment) -> dict[str, Any]:
     from emps_design.comanipulation.study import CALM
     from emps_design.report.impedance import refusal
 
+    headline = assessed.axis.units.text(assessed.headline)
     said = {"notes": (), "cautions": (), "stops": () if assessed.stable else (refusal(assessed),)}
     if assessed.verdict in CALM:
-        return {**said, "notes": (f"Impedance law, {assessed.headline}.",)}
-    return {**said, "cautions": (f"impedance law, {assessed.headline}",) if assessed.stable else ()}
+        return {**said, "notes": (f"Impedance law, {headline}.",)}
+    return {**said, "cautions": (f"impedance law, {headline}",) if assessed.stable else ()}
 
 
 def usual_force_loop(axis: Axis) -> tuple[float, float]:
@@ -289,7 +290,7 @@ def _force_loop(axis: Axis, request: ReportRequest) -> tuple[tuple[float | None,
     usual, wall = usual_force_loop(axis)
     gain, taken = own if request.k_e1 is None else request.k_e1, ""
     if gain is None:
-        gain, taken = usual, f"a gain of {quantity(usual, '(m/s)/N')} was taken"
+        gain, taken = usual, f"a gain of {quantity(usual, '(m/s)/N', 4, axis.units)} was taken"
     elif hand is None and environment is None:
-        environment, taken = wall, f"a wall of {quantity(wall, 'N/m')} was taken"
+        environment, taken = wall, f"a wall of {quantity(wall, 'N/m', 4, axis.units)} was taken"
     return (gain, hand or 0.0, environment or 0.0), taken

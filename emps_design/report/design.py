@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 ASSUMPTIONS = (
     "The axis is rigid unless its file lists an effect that says otherwise; Coulomb friction drops out of the linear "
     "loop because it is constant in motion.",
-    "The force gain G_tau is known: an error of it scales every mechanical parameter and cannot be seen in a record "
+    "The {force} gain G_tau is known: an error of it scales every mechanical parameter and cannot be seen in a record "
     "without a known payload.",
     "Continuous margins are those of an ideal drive; sampled margins contain the hold, the computation delay, the "
     "current loop, the velocity estimator, the filters of the command and the effects of the axis file.",
@@ -135,36 +135,37 @@ def _specification(velocity: VelocityLoopDesign) -> str:
 
 def _stops(results: DesignResults) -> list[Callout]:
     """Return the callouts on unstable loops, which come before any margin."""
-    velocity, force = results.velocity, results.force
+    velocity, force, units = results.velocity, results.force, results.velocity.axis.units
     stops = []
     if not velocity.sampled.stable:
         less = (
-            f"{sentence_of(velocity.reason)} The margins of the continuous loop below say nothing about this drive: "
-            "sample faster, remove delay, or ask for less."
+            f"{sentence_of(units.text(velocity.reason))} The margins of the continuous loop below say nothing about "
+            "this drive: sample faster, remove delay, or ask for less."
         )
         stops.append(Callout("stop", "with these gains the sampled velocity loop is unstable.", less))
     elif not results.verdict.stable:
-        stops.append(Callout("stop", sentence_of(results.verdict.reason)))
+        stops.append(Callout("stop", sentence_of(units.text(results.verdict.reason))))
     if force is not None and not force.worst.margins.stable:
-        title = f"the {force.worst.name} is unstable at k_e1 = {number(force.k_e1)} (m/s)/N."
-        stops.append(Callout("stop", title, sentence_of(force.reason)))
+        gain = quantity(force.k_e1, "(m/s)/N", 4, units)
+        title = f"the {units.words(force.worst.name)} is unstable at k_e1 = {gain}."
+        stops.append(Callout("stop", title, sentence_of(units.text(force.reason))))
     return [*stops, *(Callout("stop", stop) for stop in results.stops)]
 
 
 def _summary(results: DesignResults) -> tuple[Any, ...]:
     velocity = results.velocity
-    sampled, period = velocity.sampled, velocity.axis.sampling.period
-    blocks: list[Any] = [] if results.advice is None else [advice_callout(results.advice)]
+    sampled, period, units = velocity.sampled, velocity.axis.sampling.period, velocity.axis.units
+    blocks: list[Any] = [] if results.advice is None else [advice_callout(results.advice, units)]
     blocks += _stops(results)
     facts: list[tuple[Any, str, str]] = [
-        (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)"), "gain of the velocity loop"),
+        (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 4, units), "gain of the velocity loop"),
         (Html(symbol("t_v")), quantity(velocity.t_v, "s"), "its integral time"),
     ]
     worst = results.verdict.worst
     if worst.margins.stable and (worst.name != VELOCITY_LOOP or worst.where):
-        where = where_in_words(worst.where, velocity.axis.units)
+        where = where_in_words(worst.where, units)
         place = f"phase margin, sampled, at the {worst.broken}{where and ', '}{where}"
-        facts.append((f"worst: {worst.name}", angle(worst.margins.phase_margin_deg), place))
+        facts.append((f"worst: {units.words(worst.name)}", angle(worst.margins.phase_margin_deg), place))
     if sampled.stable:
         facts += [
             (
@@ -195,7 +196,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
             )
         )
     warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]
-    warnings = [*results.cautions, *results.verdict.warnings, *warnings]
+    warnings = [*results.cautions, *map(units.text, (*results.verdict.warnings, *warnings))]
     if warnings:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
     return tuple(blocks)
@@ -258,9 +259,10 @@ def _achieved_table(velocity: VelocityLoopDesign, loops: Sequence[NestedLoop]) -
 
 
 def _end_section(results: DesignResults) -> Section:
+    force = results.velocity.axis.units.word("force")
     return Section(
         "Assumptions, inputs and versions",
-        Points(ASSUMPTIONS),
+        Points(text.format(force=force) for text in ASSUMPTIONS),
         inputs_table(results.inputs) if results.inputs else None,
         Text(versions()),
     )

@@ -51,7 +51,7 @@ from emps_design.report.page import (
     words,
 )
 from emps_design.report.style import BLUE, look, plain_subplots, thin
-from emps_design.units import Units
+from emps_design.units import LINEAR, Units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,16 +97,17 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
     """
     from emps_design.control.velocity.design import design_velocity_loop
 
+    units = after.units
     try:
         old, new = (design_velocity_loop(axis, CROSSOVER, phase_margin_deg=PHASE_MARGIN) for axis in (before, after))
         kept = replace(old, axis=after).sampled
         expected, really, better = old.sampled.margins, kept.margins, new.sampled.margins
     except EmpsError as error:
-        return [_row("velocity loop", None, None, str(error))]
+        return [_row("velocity loop", None, None, units.text(str(error)))]
     specification = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
     rows = [
-        _row("k_v1", quantity(old.k_v1, "V/(m/s)"), quantity(new.k_v1, "V/(m/s)"), specification),
-        _row("t_v", quantity(old.t_v, "s"), quantity(new.t_v, "s"), specification),
+        _row(name, *(quantity(getattr(design, name), unit, 4, units) for design in (old, new)), specification)
+        for name, unit in (("k_v1", "V/(m/s)"), ("t_v", "s"))
     ]
     if not really.stable:
         now = "stable" if expected.stable else "unstable"
@@ -127,7 +128,7 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         ("Coulomb friction to compensate", "coulomb", "N"),
         ("viscous friction", "viscous", "N/(m/s)"),
     ):
-        was, now = (quantity(getattr(axis.mechanics, key), unit) for axis in (before, after))
+        was, now = (quantity(getattr(axis.mechanics, key), unit, 4, units) for axis in (before, after))
         rows.append(_row(name, was, now, note))
     return rows
 
@@ -143,7 +144,7 @@ def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict
     return design_change(axis_before(axis, parameters), axis)
 
 
-def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section | None:
+def design_section(diagnosis: Diagnosis, document: Mapping[str, Any], units: Units) -> Section | None:
     """Return the section that compares the design on both models, or None."""
     rows = document.get("design") or _design_rows(diagnosis, document)
     if not rows:
@@ -152,7 +153,7 @@ def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section
     def shown(value: Any, unit: str) -> str:
         if isinstance(value, str) or value is None:
             return value or NOTHING
-        return angle(value) if unit == "deg" else quantity(value, unit)
+        return angle(value) if unit == "deg" else quantity(value, unit, 4, units)
 
     return Section(
         "What the better model changes in the design",
@@ -172,10 +173,10 @@ def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section
     )
 
 
-def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any = None) -> Section | None:
+def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any, units: Units) -> Section | None:
     """Return the section on ``chosen``, the ``experiment`` of the document, or None without one.
 
-    ``experiment`` has the reference to draw: ``t`` [s] (n,) and ``q_ref`` [m] (n,) or None.
+    ``experiment`` has the reference to draw, if any: ``t`` [s] (n,) and ``q_ref`` [m] (n,) or None.
     """
     if not chosen:
         return None
@@ -194,9 +195,10 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any = None)
         blocks.append(
             Text(
                 html(
-                    "It is in <code>{}</code>, columns t [s] and q_ref [m]. Try it first: "
+                    "It is in <code>{}</code>, columns t [s] and q_ref [{}]. Try it first: "
                     "<code>emps-design simulate model.toml --reference {}</code>.",
                     chosen["file"],
+                    units.unit("m"),
                     chosen["file"],
                 )
             )
@@ -205,7 +207,7 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any = None)
         between = " and ".join(words(name) for name in chosen["between"])
         blocks.append(
             Table(
-                ["program", "what it does", "apart [N rms]", "apart [std of the noise]"],
+                ["program", "what it does", f"apart [{units.unit('N')} rms]", "apart [std of the noise]"],
                 [[words(row["program"]), row["text"], row["distance"], row["over_noise"]] for row in chosen["menu"]],
                 f"How far apart {between} are on each program that stays within what the records show, fitted to one "
                 f"another; {quantity(chosen['needed'], '', 2)} standard deviations decide.",
@@ -230,53 +232,53 @@ def reference_figure(t: np.ndarray, q_ref: np.ndarray) -> Figure:
 def diagnosis_page(diagnosis: Diagnosis) -> Page:
     """Return the page of a diagnosis."""
     document = diagnosis.to_dict()
-    findings = document["findings"]
+    findings, axis = document["findings"], getattr(diagnosis, "axis", None)
+    units = LINEAR if axis is None else axis.units
     level, verdict = VERDICTS[document["verdict"]]
     answer = (Text(typeset(document["sentence"])),) if "sentence" in document else ()
-    what_to_do = advice_callout(advise("diagnose", document))
+    what_to_do = advice_callout(advise("diagnose", document, units=units), units)
     summary: list[Any] = [
         what_to_do,
         Callout(level, in_plain_words(document), verdict),
-        answer_points(document),
+        answer_points(document, units),
         *answer,
     ]
     simulated = document.get("simulation", "closed loop")
     whole = document.get("held_out", {}).get("time") is None
-    summary.append(_gap_facts(document["gap"], simulated, document.get("unexplained") or {}, whole))
+    summary.append(_gap_facts(document["gap"], simulated, document.get("unexplained") or {}, whole, units))
     if diagnosis.views:
-        summary.append(Picture(figures.where_figure(diagnosis), _where_caption(diagnosis, findings), "Where"))
+        summary.append(Picture(figures.where_figure(diagnosis), _where_caption(diagnosis, findings, units), "Where"))
     if diagnosis.trace is not None:
         summary.append(
             Picture(
                 figures.before_after_figure(diagnosis),
-                _trace_caption(diagnosis.trace.name, simulated, bool(findings)),
+                _trace_caption(diagnosis.trace.name, simulated, bool(findings), units),
                 "Before and after",
             )
         )
     response = getattr(diagnosis, "response", None)
     sections = [
-        findings_section(findings),
-        unexplained_section(document),
-        closest_section(document),
-        experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None)),
+        findings_section(findings, units),
+        unexplained_section(document, units),
+        closest_section(document, units),
+        experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None), units),
         remedy_section(document),
-        parameters_section(document),
-        gap_section(document),
-        views_section(diagnosis),
+        parameters_section(document, units),
+        gap_section(document, units),
+        views_section(diagnosis, units),
         None if response is None else response_section(response),
-        candidates_section(diagnosis, document.get("candidates", ())),
+        candidates_section(diagnosis, document.get("candidates", ()), units),
         limits_section(document),
-        design_section(diagnosis, document),
-        method_section(document),
+        design_section(diagnosis, document, units),
+        method_section(document, units),
     ]
-    axis = getattr(diagnosis, "axis", None)
     names = ", ".join(record["name"] for record in document.get("records", ()))
     return Page(
         "Where simulation and machine disagree",
         names,
         tuple(summary),
         tuple(section for section in sections if section is not None),
-        units=Units() if axis is None else axis.units,
+        units=units,
     )
 
 
@@ -289,25 +291,27 @@ def typeset(text: str) -> str:
     return text.replace("+-", "±").replace("->", "→")
 
 
-def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]]) -> str:
+def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]], units: Units) -> str:
     view = diagnosis.views[0]
     texts = (f.get("where", {}).get("text") for f in findings)
     places = "; ".join(dict.fromkeys(text for text in texts if text and text != EVERYWHERE))
     where = f" What was found acts {places}." if places else ""
     models = ", before (model as it was, refitted) and after" if findings else " that the refitted model leaves"
-    return f"Residual force over {view.quantity}{models}.{where}"
+    return f"Residual {units.word('force')} over {view.quantity}{models}.{where}"
 
 
-def _trace_caption(name: str, simulated: str, extended: bool) -> str:
+def _trace_caption(name: str, simulated: str, extended: bool, units: Units) -> str:
     models = "two models make" if extended else "the refitted model makes"
     remainder = "the extended model leaves" if extended else "it leaves"
     return (
-        f"Record {name}: measured force, and what {models} of it {SIMULATED[simulated]}. Look at the lower picture: "
-        f"what {remainder} should look like noise."
+        f"Record {name}: measured {units.word('force')}, and what {models} of it {SIMULATED[simulated]}. Look at the "
+        f"lower picture: what {remainder} should look like noise."
     )
 
 
-def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str, Any], whole: bool) -> Facts:
+def _gap_facts(
+    gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str, Any], whole: bool, units: Units
+) -> Facts:
     """Return the force error before and after, and with the unknown force if that is of one kind.
 
     ``whole``: what was held out, if anything, is a whole record.
@@ -316,18 +320,18 @@ def _gap_facts(gap: Mapping[str, Any], simulated: str, unexplained: Mapping[str,
     nothing_added = held_out and held_out["baseline"] == held_out["extended"]
     part = "holdout" if held_out and not (nothing_added and unexplained.get("record") == "train") else "train"
     values = gap[part]
-    unit = gap.get("unit", "N")
+    unit, force = gap.get("unit", "N"), units.word("force")
     word = f"{'held-out' if part == 'holdout' else 'training'} {'record' if whole else 'part'}"
     before, after, floor = values.get("baseline"), values.get("extended"), gap.get("floor")
-    errors = [("force error before", before), ("force error after", after)]
+    errors = [(f"{force} error before", before), (f"{force} error after", after)]
     if before == after:  # one model: nothing was added
-        errors = [("force error", before)]
-    items = [(name, quantity(value, unit, 3), f"{word}, {simulated}") for name, value in errors]
+        errors = [(f"{force} error", before)]
+    items = [(name, quantity(value, unit, 3, units), f"{word}, {simulated}") for name, value in errors]
     if unexplained.get("kind"):
-        remaining_force = quantity(unexplained["kind_leaves"], unit, 3)
+        remaining_force = quantity(unexplained["kind_leaves"], unit, 3, units)
         remark = f"like {unexplained['kind']}; on any record at most"
-        items.append(("with the unknown force too", remaining_force, remark))
-    items.append(("noise floor", quantity(floor, unit, 3), gap.get("floor_from", "")))
+        items.append((f"with the unknown {force} too", remaining_force, remark))
+    items.append(("noise floor", quantity(floor, unit, 3, units), gap.get("floor_from", "")))
     if before is not None and after is not None and floor is not None and before > max(floor, after):
         items.append(
             (

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from emps_design.discrepancy.result import Diagnosis
+    from emps_design.units import Units
 
 BESIDE = (60, 1)  # ratio of the widths of a map and its colour bar
 DECADE = 10.0
@@ -260,10 +261,10 @@ def _share(confirmed: Mapping[str, float] | None) -> str:
     return share_asked(confirmed["share"], confirmed["std"]).replace("+-", "±") if confirmed else NOTHING
 
 
-def answer_points(document: Mapping[str, Any]) -> Points:
+def answer_points(document: Mapping[str, Any], units: Units) -> Points:
     """Return what was found and how surely, what is left, and what to record next, one line each."""
     lines = [
-        f"Found: {inside(_label(f))}, up to {quantity(f['where']['force']['value'], 'N', 3)}; {how_sure(f)}."
+        f"Found: {inside(_label(f))}, up to {quantity(f['where']['force']['value'], 'N', 3, units)}; {how_sure(f)}."
         for f in document["findings"]
         if f.get("where", {}).get("force")
     ]
@@ -274,22 +275,23 @@ def answer_points(document: Mapping[str, Any]) -> Points:
     return Points(lines or ["Nothing has to be recorded."])
 
 
-def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
+def findings_section(findings: Sequence[Mapping[str, Any]], units: Units) -> Section | None:
     """Return the section on the effects found: their evidence and their parameters."""
     if not findings:
         return None
     alike = any(finding.get("equivalents") for finding in findings)
     notes = [finding.get("note", "") for finding in findings]
     shared = len(set(notes)) == 1
+    force, newton = units.word("force"), units.unit("N")
     headers = [
         "effect",
         "p-value",
         "confirmed: share asked for",
-        "gap without it [N]",
-        "gap with it [N]",
+        f"gap without it [{newton}]",
+        f"gap with it [{newton}]",
         "acts in the",
         "where",
-        "force up to [N]",
+        f"{force} up to [{newton}]",
         *([] if shared else ["remark"]),
         *(["cannot be told from"] if alike else []),
     ]
@@ -308,20 +310,20 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
                     f.get("where", {}).get("text", ""),
                     f.get("where", {}).get("force", {}).get("value"),
                     *([] if shared else [note]),
-                    *([", ".join(words(e) for e in f.get("equivalents") or ()) or "—"] if alike else []),
+                    *([", ".join(units.words(words(e)) for e in f.get("equivalents") or ()) or "—"] if alike else []),
                 ]
                 for f, note in zip(findings, notes, strict=True)
             ],
-            "Findings in the order they were accepted; the gap is the rms error of the simulated force, and the force "
-            f"is what the effect itself contributes.{remark}",
+            f"Findings in the order they were accepted; the gap is the rms error of the simulated {force}, and the "
+            f"{force} is what the effect itself contributes.{remark}",
         )
     ]
     rows = [
         [
             _label(finding),
-            words(name),
-            with_std(entry.get("value"), entry.get("std"), entry.get("unit", "")),
-            interval(entry.get("value"), entry.get("std"), entry.get("unit", "")),
+            units.words(words(name)),
+            with_std(entry.get("value"), entry.get("std"), entry.get("unit", ""), units),
+            interval(entry.get("value"), entry.get("std"), entry.get("unit", ""), units),
             finding.get("where", {}).get("record", "this record") if entry.get("per_record") else "the machine",
         ]
         for finding in findings
@@ -339,7 +341,7 @@ def findings_section(findings: Sequence[Mapping[str, Any]]) -> Section | None:
     return Section("What is missing", *blocks)
 
 
-def unexplained_section(document: Mapping[str, Any]) -> Section | None:
+def unexplained_section(document: Mapping[str, Any], units: Units) -> Section | None:
     """Return the section on the force that no effect explains, over position and velocity."""
     missing = document.get("unexplained")
     if not missing:
@@ -348,14 +350,15 @@ def unexplained_section(document: Mapping[str, Any]) -> Section | None:
         "What no effect explains",
         Picture(
             map_figure(missing["map"]),
-            f"Mean force the model misses over position and velocity, away from reversals; white where the record does "
-            f"not go. {sentence_of(missing['text'])} Rows alike: it depends on position; columns alike: on velocity.",
-            "The missing force",
+            f"Mean {units.word('force')} the model misses over position and velocity, away from reversals; white where "
+            f"the record does not go. {sentence_of(missing['text'])} Rows alike: it depends on position; columns "
+            "alike: on velocity.",
+            f"The missing {units.word('force')}",
         ),
     )
 
 
-def closest_section(document: Mapping[str, Any]) -> Section | None:
+def closest_section(document: Mapping[str, Any], units: Units) -> Section | None:
     """Return the section that compares the force error of the closest model with that of the named one."""
     closest = document.get("closest")
     if not closest:
@@ -369,14 +372,16 @@ def closest_section(document: Mapping[str, Any]) -> Section | None:
             if part in closest[key]
         ]
         caption = "The model for a simulation or a feed-forward that is to come close; for a cause, the one above."
-        headers = ["force error", "record", "named model [N rms]", "closest model [N rms]", "floor [N rms]"]
+        newton = units.unit("N")
+        models = (f"{name} [{newton} rms]" for name in ("named model", "closest model", "floor"))
+        headers = [f"{units.word('force')} error", "record", *models]
         blocks.append(Table(headers, rows, caption))
     if closest.get("model_file"):
         blocks.append(Text(html("Its axis file: <code>{}</code>.", closest["model_file"])))
     return Section("The closest model", *blocks)
 
 
-def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]]) -> Section | None:
+def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]], units: Units) -> Section | None:
     """Return the section on the candidates and the force error of each."""
     if not candidates:
         return None
@@ -402,37 +407,39 @@ def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, A
         "Candidates",
         Picture(
             candidates_figure(candidates, document["gap"]),
-            _candidates_caption(candidates, "predicting what was held out" if "band_hz" in document else IN_LOOP),
+            _candidates_caption(
+                candidates, "predicting what was held out" if "band_hz" in document else IN_LOOP, units.word("force")
+            ),
             "What was tried",
         ),
         Table(
-            ["candidate", "decision", "gap left [N]", "statistic", "to beat", "why"],
+            ["candidate", "decision", f"gap left [{units.unit('N')}]", "statistic", "to beat", "why"],
             rows,
             f"The best candidates, {refitted}.",
         ),
     )
 
 
-def _candidates_caption(candidates: Sequence[Mapping[str, Any]], how: str) -> str:
+def _candidates_caption(candidates: Sequence[Mapping[str, Any]], how: str, force: str) -> str:
     if all(candidate.get("gap") is None for candidate in candidates):
         return (
             "No candidate explained enough to be fitted. The bars are the statistics of their first guesses; the "
             "dashed line is what they had to beat."
         )
     return (
-        f"Force error left by each candidate {how}; shorter is better. The dashed line is the "
+        f"{force.capitalize()} error left by each candidate {how}; shorter is better. The dashed line is the "
         "model as it was, the dotted line the noise floor. A candidate near the dashed line explains nothing."
     )
 
 
-def parameters_section(document: Mapping[str, Any]) -> Section | None:
+def parameters_section(document: Mapping[str, Any], units: Units) -> Section | None:
     """Return the section on the parameters of the baseline before and after."""
     parameters = document.get("parameters") or {}
     if not parameters:
         return None
 
     def shown(entry: Mapping[str, Any] | None, unit: str) -> str:
-        return with_std(entry.get("value"), entry.get("std"), unit) if entry else NOTHING
+        return with_std(entry.get("value"), entry.get("std"), unit, units) if entry else NOTHING
 
     return Section(
         "Baseline parameters",
@@ -440,8 +447,8 @@ def parameters_section(document: Mapping[str, Any]) -> Section | None:
             ["parameter", "axis file", "refitted, nothing added", "with what was missing"],
             [
                 [
-                    words(name),
-                    quantity(entry.get("axis"), entry["unit"]),
+                    units.words(words(name)),
+                    quantity(entry.get("axis"), entry["unit"], 4, units),
                     shown(entry.get("baseline"), entry["unit"]),
                     shown(entry.get("extended"), entry["unit"]),
                 ]
@@ -452,9 +459,9 @@ def parameters_section(document: Mapping[str, Any]) -> Section | None:
     )
 
 
-def gap_section(document: Mapping[str, Any]) -> Section:
+def gap_section(document: Mapping[str, Any], units: Units) -> Section:
     """Return the section on the force error of both models on every record, with intervals."""
-    rows = []
+    rows, newton = [], units.unit("N")
     simulated = document.get("simulation", "closed loop")
 
     def shown(values: Mapping[str, Any], name: str) -> str:
@@ -474,7 +481,11 @@ def gap_section(document: Mapping[str, Any]) -> Section:
     return Section(
         "The gap in numbers",
         Table(
-            ["force error", "record", "baseline [N rms]", "extended [N rms]", "floor [N rms]"],
+            [
+                f"{units.word('force')} error",
+                "record",
+                *(f"{name} [{newton} rms]" for name in ("baseline", "extended", "floor")),
+            ],
             rows,
             "Both models have their baseline parameters refitted to the training record; the held-out part could only "
             "veto. In brackets 95 % intervals, from pieces of each error redrawn.",
@@ -482,7 +493,7 @@ def gap_section(document: Mapping[str, Any]) -> Section:
     )
 
 
-def views_section(diagnosis: Diagnosis) -> Section | None:
+def views_section(diagnosis: Diagnosis, units: Units) -> Section | None:
     """Return the section on the residual over each quantity, and its spectrum over time."""
     if len(diagnosis.views) < 2:
         return None
@@ -497,7 +508,7 @@ def views_section(diagnosis: Diagnosis) -> Section | None:
         "The residual from every side",
         Picture(
             views_figure(diagnosis.views),
-            "Mean residual force of the model as it was and, where it was extended, of the better one"
+            f"Mean residual {units.word('force')} of the model as it was and, where it was extended, of the better one"
             + ("; the grey band is what a healthy record shows. What still leaves it is unexplained." if band else "."),
             "Residual over every quantity",
         ),
@@ -533,7 +544,7 @@ def remedy_section(document: Mapping[str, Any]) -> Section | None:
     return Section("What to do", *blocks) if blocks else None
 
 
-def method_section(document: Mapping[str, Any]) -> Section:
+def method_section(document: Mapping[str, Any], units: Units) -> Section:
     """Return the section on method, assumptions, warnings and inputs."""
     blocks: list[Any] = []
     if document.get("calibration"):
@@ -541,7 +552,7 @@ def method_section(document: Mapping[str, Any]) -> Section:
     if document.get("assumptions"):
         blocks.append(Points(document["assumptions"]))
     if document.get("warnings"):
-        blocks.append(Callout("warning", "Warnings", items=tuple(document["warnings"])))
+        blocks.append(Callout("warning", "Warnings", items=tuple(map(units.text, document["warnings"]))))
     inputs = dict(document.get("inputs") or {r["name"]: r.get("sha256") for r in document.get("records", ())})
     if inputs:
         blocks.append(inputs_table(inputs))

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from emps_design.comanipulation.wall import WallContact
     from emps_design.control.impedance.passivity import ContactMap
     from emps_design.control.impedance.robustness import StabilityMap
+    from emps_design.units import Units
 
 VERDICT_COLORS = {
     "stable": GREEN,
@@ -218,37 +219,41 @@ def contact_map_figure(regions: ContactMap) -> Figure:
 def impedance_section(assessment: ImpedanceAssessment) -> Section:
     """Return the section on the impedance law of ``assessment``."""
     document = assessment.to_dict()
-    law = assessment.law
+    law, units = assessment.law, assessment.axis.units
+    force, carriage = units.word("force"), units.word("carriage")
     blocks: list[Any] = [
         Text(
-            f"Without a force sensor the law makes the carriage feel like {quantity(law.mass, 'kg')} and "
-            f"{quantity(law.damping, 'N/(m/s)')}. Acceleration and current pass the "
+            f"Without a {force} sensor the law makes the {carriage} feel like {quantity(law.mass, 'kg', 4, units)} and "
+            f"{quantity(law.damping, 'N/(m/s)', 4, units)}. Acceleration and current pass the "
             f"same low-pass of {frequency(law.filter) if np.isfinite(law.filter) else 'no limit'}."
         ),
         _verdict(assessment),
         Picture(
             impedance_law_diagram(),
-            "(a) The law sees motion and motor current, no force. (b) The impedance it aims at; in co-manipulation K "
-            "and the reference velocity are zero.",
+            f"(a) The law sees motion and motor current, no {force}. (b) The impedance it aims at; in co-manipulation "
+            "K and the reference velocity are zero.",
             "Impedance control, after Fig. 11 of the paper",
         ),
-        _felt_table(document),
+        _felt_table(document, units),
         _impedance_picture(assessment),
-        _sampled_table(document),
+        _sampled_table(document, units),
         *_maps(assessment),
     ]
     if assessment.study is not None:
         blocks += _mismatch_blocks(assessment, assessment.study, document["mismatch"])
     blocks.append(_errata_table())
     if document["warnings"]:
-        blocks.append(Callout("warning", "To read with the numbers", items=tuple(document["warnings"])))
+        blocks.append(
+            Callout("warning", "To read with the numbers", items=tuple(map(units.text, document["warnings"])))
+        )
     return Section("Impedance law", *blocks)
 
 
 def refusal(assessment: ImpedanceAssessment) -> str:
     """Return in words why the law must not run; empty unless the verdict is unstable or a limit cycle."""
     words = {"unstable": "is unstable", "limit_cycle": "ends in a limit cycle"}.get(assessment.verdict)
-    return f"the impedance law {words}: {assessment.reason.partition(': ')[2]}" if words else ""
+    why = assessment.axis.units.text(assessment.reason.partition(": ")[2])
+    return f"the impedance law {words}: {why}" if words else ""
 
 
 def _verdict(assessment: ImpedanceAssessment) -> Callout:
@@ -258,21 +263,22 @@ def _verdict(assessment: ImpedanceAssessment) -> Callout:
         title, _, body = refusal(assessment).partition(": ")
         return Callout("stop", f"{title}.", body)
     tried = "" if assessment.study is not None else " Errors of the estimates were not tried."
-    return Callout("good" if assessment.verdict in CALM else "warning", sentence_of(assessment.headline) + tried)
+    headline = sentence_of(assessment.axis.units.text(assessment.headline))
+    return Callout("good" if assessment.verdict in CALM else "warning", headline + tried)
 
 
-def _felt_table(document: Mapping[str, Any]) -> Table:
+def _felt_table(document: Mapping[str, Any], units: Units) -> Table:
     rows = [
         [
             label,
-            quantity(document[key]["apparent_mass"], "kg"),
-            quantity(document[key]["apparent_damping"], "N/(m/s)"),
-            quantity(document[key]["coulomb_left"], "N"),
+            quantity(document[key]["apparent_mass"], "kg", 4, units),
+            quantity(document[key]["apparent_damping"], "N/(m/s)", 4, units),
+            quantity(document[key]["coulomb_left"], "N", 4, units),
         ]
         for key, label in (("derived", "law as derived"), ("printed", "(30) as printed"))
     ]
     return Table(
-        ["", "apparent mass", "apparent damping", "Coulomb friction left"],
+        ["", f"apparent {units.word('mass')}", "apparent damping", "Coulomb friction left"],
         rows,
         "What the hand feels with exact estimates and an ideal current loop. As printed, (30) has a factor 2 that does "
         "not follow from (28) and (29); this is what it costs.",
@@ -302,15 +308,19 @@ def _impedance_picture(assessment: ImpedanceAssessment) -> Picture:
         loop = equivalent_loop(assessment.axis, law.mass, law.damping, LOW_FREQUENCY, mismatch=mismatch)
         curves["equivalent force loop"] = loop.impedance(below)
     target = 1j * below * law.mass + law.damping
+    units = assessment.axis.units
     return Picture(
         apparent_impedance_figure(below, curves, target),
-        f"Force over velocity at the hand. In the shaded band, below {BAND:g} rad/s, where an operator moves, "
-        "the curves should lie on the dashed target; above it the filters and the hold let the real mass through.",
+        f"{units.word('force').capitalize()} over velocity at the hand. In the shaded band, below {BAND:g} rad/s, "
+        "where an operator moves, the curves should lie on the dashed target; above it the filters and the hold let "
+        f"the real {units.word('mass')} through.",
         "Apparent impedance",
     )
 
 
-def _sampled_table(document: Mapping[str, Any]) -> Table:
+def _sampled_table(document: Mapping[str, Any], units: Units) -> Table:
+    force, mass, carriage = (units.word(name) for name in ("force", "mass", "carriage"))
+    stiffness = units.unit("N/mm")
     sampled, contact, loop = document["sampled"], document["passivity"], document["equivalent_loop"]
     bands = contact["sampled"]["active_bands"] if contact else []
     active = "; ".join(
@@ -318,6 +328,9 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
         for low, high in bands
     )
     wall = document["largest_wall_stiffness"]
+    stiffest = "unbounded" if contact else NOTHING
+    if wall is not None:
+        stiffest = f"{number(wall / 1e3)} {stiffness}"
     largest = max((abs(complex(p)) for p in sampled["poles"]), default=None)
     rows = [
         ["largest pole, sliding", number(largest, 5), "inside the unit circle below 1"],
@@ -326,29 +339,34 @@ def _sampled_table(document: Mapping[str, Any]) -> Table:
             number(sampled["recursion_gain"]),
             "held stable by the acceleration",
         ],
-        ["force to break away", quantity(document["break_away"], "N"), "at rest the law compensates no dry friction"],
         [
-            "smallest safe apparent mass",
-            quantity(document["smallest_safe_mass"], "kg"),
+            f"{force} to break away",
+            quantity(document["break_away"], "N", 4, units),
+            "at rest the law compensates no dry friction",
+        ],
+        [
+            f"smallest safe apparent {mass}",
+            quantity(document["smallest_safe_mass"], "kg", 4, units),
             "stable at every corner of the mismatch, and not swinging in the simulation",
         ],
         ["takes energy from the hand", active or "nowhere", "bands in which the sampled law is not passive"],
         *(
             [
                 f"stiffest wall, {'exact estimates' if name == 'exact' else 'worst corner of the mismatch'}",
-                f"{number(limit['simulated'] / 1e3)} N/mm",
-                f"pressed against it the carriage comes to rest; simulated, pushes around {limit['push']:.3g} N",
+                f"{number(limit['simulated'] / 1e3)} {stiffness}",
+                f"pressed against it the {carriage} comes to rest; simulated, pushes around "
+                f"{units.quantity(limit['push'], 'N', '.3g')}",
             ]
             for name, limit in document["wall_limit"].items()
         ),
         [
             "stiffest undamped wall by the poles",
-            "unbounded" if wall is None and contact else f"{number(wall / 1e3)} N/mm" if wall is not None else NOTHING,
+            stiffest,
             "without friction, its compensation and the encoder",
         ],
         [
-            Html("equivalent force loop " + symbol("k_e1")),
-            "none" if loop["k_e1"] is None else f"{number(loop['k_e1'])} (m/s)/N",
+            Html(f"equivalent {force} loop {symbol('k_e1')}"),
+            "none" if loop["k_e1"] is None else quantity(loop["k_e1"], "(m/s)/N", 4, units),
             f"{loop['criterion'].replace('_', ' ')} match"
             + ("" if loop["k_e1"] is None or loop["sampled"]["stable"] else "; unstable on this drive"),
         ],
@@ -392,58 +410,65 @@ def _mismatch_blocks(assessment: ImpedanceAssessment, study: MismatchStudy, mism
     worst = mismatch["worst"]
     percent = f"±{100 * mismatch['mismatch']:g} %"
     task = study.task
-    law = assessment.law
+    law, units = assessment.law, assessment.axis.units
+    mass, force, carriage, voltage = (units.word(name) for name in ("mass", "force", "carriage", "voltage"))
     runs = {
         "exact estimates": run_task(assessment.axis, law, task),
         f"worst within {percent}": run_worst(assessment.axis, study),
-        "with a force sensor": run_task(assessment.axis, replace(law, force_sensor=True), task),
+        f"with a {force} sensor": run_task(assessment.axis, replace(law, force_sensor=True), task),
     }
     share = f"{100 * mismatch['stable_share']:.4g} %"
     rows = [
         ["verdict of the worst plant", worst["verdict"].replace("_", " ")],
-        ["its estimates are off by", _errors(worst["errors"])],
+        ["its estimates are off by", units.words(_errors(worst["errors"]))],
         ["come to rest when let go", f"{share}{_interval(mismatch['stable_share_interval'])}"],
         [
             "neither unstable nor in a limit cycle",
             f"{100 * mismatch['bounded_share']:.4g} %{_interval(mismatch['bounded_share_interval'])}",
         ],
-        *([f"with {case['what']}", case["verdict"].replace("_", " ")] for case in mismatch["beyond"]),
-        ["creep after release, at most", quantity(mismatch["creep_speed"], "m/s")],
-        ["dead band, at most", quantity(mismatch["dead_band"], "N")],
+        *([f"with {units.text(case['what'])}", case["verdict"].replace("_", " ")] for case in mismatch["beyond"]),
+        ["creep after release, at most", quantity(mismatch["creep_speed"], "m/s", 4, units)],
+        ["dead band, at most", quantity(mismatch["dead_band"], "N", 4, units)],
         ["Coulomb factor that rules creep out", number(mismatch["coulomb_factor_without_creep"])],
         ["largest pole over the corners", number(mismatch["largest_pole"], 5)],
     ]
     ranges = mismatch["ranges"]
-    units = {"apparent_mass": "kg", "apparent_damping": "N/(m/s)", "peak_voltage": "V", "rms_force": "N", "work": "J"}
+    bases = {"apparent_mass": "kg", "apparent_damping": "N/(m/s)", "peak_voltage": "V", "rms_force": "N", "work": "J"}
     spread = [
-        [name.replace("_", " "), *(quantity(ranges[name][key], unit) for key in ("low", "median", "high"))]
-        for name, unit in units.items()
+        [
+            units.words(name.replace("_", " ")),
+            *(quantity(ranges[name][key], base, 4, units) for key in ("low", "median", "high")),
+        ]
+        for name, base in bases.items()
         if name in ranges
     ]
     if "r2" in ranges:
-        spread.append(["R², force on motion", *(number(ranges["r2"][key]) for key in ("low", "median", "high"))])
+        spread.append([f"R², {force} on motion", *(number(ranges["r2"][key]) for key in ("low", "median", "high"))])
     return [
         Table(
             ["", "value"],
             rows,
-            f"Mass, viscous and Coulomb friction of the law off by up to {percent}: {study.corners} corners and "
-            f"{study.plants} random plants, seed {study.seed}. Not varied there: the force gain, which scales all "
-            "three and is inside the box, and the filter of the law. With: the corners on a machine changed in that.",
+            f"{mass.capitalize()}, viscous and Coulomb friction of the law off by up to {percent}: {study.corners} "
+            f"corners and {study.plants} random plants, seed {study.seed}. Not varied there: the {force} gain, which "
+            "scales all three and is inside the box, and the filter of the law. With: the corners on a machine changed "
+            "in that.",
         ),
         Table(
-            ["", "5 %", "median", "95 %"], spread, "The random plants: transparency, voltage and the operator's effort."
+            ["", "5 %", "median", "95 %"],
+            spread,
+            f"The random plants: transparency, {voltage} and the operator's effort.",
         ),
         Picture(
             mismatch_figure(study),
-            "Left: what the hand feels on each plant; squares are the corners. Right: what the released carriage does. "
-            "Creeping means that over-estimated friction drives it on for ever.",
+            f"Left: what the hand feels on each plant; squares are the corners. Right: what the released {carriage} "
+            "does. Creeping means that over-estimated friction drives it on for ever.",
             f"Mismatch of {percent}",
         ),
         Picture(
             task_figure(runs, task),
-            "The hand guides the carriage for 5 s and lets go while it moves. Look at the velocity after the release, "
-            "which must come to rest, and at the position, which must not run away.",
-            "Force, velocity and position, after Fig. 12 of the paper",
+            f"The hand guides the {carriage} for 5 s and lets go while it moves. Look at the velocity after the "
+            "release, which must come to rest, and at the position, which must not run away.",
+            f"{force.capitalize()}, velocity and position, after Fig. 12 of the paper",
         ),
         _effort_table(assessment, runs),
     ]
@@ -461,7 +486,8 @@ def _errors(errors: Mapping[str, float]) -> str:
 def _effort_table(assessment: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:
     from emps_design.control.impedance.robustness import break_away
 
-    rows = []
+    rows, units = [], assessment.axis.units
+    force = units.word("force")
     for name, run in runs.items():
         effort = {key: float(values[0]) for key, values in run.measures.effort.items()}
         start = break_away(replace(assessment.law, force_sensor="sensor" in name), assessment.plant)
@@ -469,18 +495,18 @@ def _effort_table(assessment: ImpedanceAssessment, runs: Mapping[str, Any]) -> T
             [
                 name,
                 run.verdict.replace("_", " "),
-                quantity(start, "N"),
+                quantity(start, "N", 4, units),
                 *(
-                    quantity(effort[key], unit)
+                    quantity(effort[key], unit, 4, units)
                     for key, unit in (("rms_force", "N"), ("peak_force", "N"), ("work", "J"))
                 ),
             ]
         )
     return Table(
-        ["", "after release", "force to break away", "rms force", "peak force", "work"],
+        ["", "after release", f"{force} to break away", f"rms {force}", f"peak {force}", "work"],
         rows,
-        "The operator's effort in the task. Without a force sensor all of the dry friction has to be overcome by hand "
-        "before the carriage starts.",
+        f"The operator's effort in the task. Without a {force} sensor all of the dry friction has to be overcome by "
+        f"hand before the {units.word('carriage')} starts.",
     )
 
 

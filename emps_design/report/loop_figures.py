@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from emps_design.control.margins import Margins
     from emps_design.control.velocity.comparison import StepResponse
     from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.units import Units
 
 COLOURS = (RED, GREEN)
 
@@ -410,15 +411,17 @@ def response_figure(comparison: ResponseComparison, ratio: np.ndarray | None = N
 
 def response_blocks(comparison: ResponseComparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
     """Return the picture of a response beside the model, the agreement in words, the fitted masses, and warnings."""
-    warnings = (*comparison.response.warnings, *comparison.chain.warnings)
+    units = comparison.axis.units
+    warnings = tuple(map(units.text, (*comparison.response.warnings, *comparison.chain.warnings)))
     return (
         Picture(
             response_figure(comparison, ratio),
-            "Force to velocity of the plant, hold and delay of the drive taken out, with the 95 % band of the data.",
+            f"{units.word('force').capitalize()} to velocity of the plant, hold and delay of the drive taken out, with "
+            "the 95 % band of the data.",
             "Measured frequency response",
         ),
-        Text(f"{comparison.axis.name}: {comparison.agreement.sentence}."),
-        _chain_table(comparison.chain),
+        Text(f"{comparison.axis.name}: {units.text(comparison.agreement.sentence)}."),
+        _chain_table(comparison.chain, units),
         Callout("warning", "What the data do not say", items=warnings) if warnings else None,
     )
 
@@ -428,11 +431,18 @@ def response_section(comparison: ResponseComparison) -> Section:
     return Section(f"Measured response {comparison.response.name}", *response_blocks(comparison))
 
 
-def _chain_table(chain: MassChain) -> Table:
+def _chain_table(chain: MassChain, units: Units) -> Table:
     rows = [
-        [name.replace("_", " "), unit, *((number(value, 6), number(std, 3)) if known else ("not determined", NOTHING))]
+        [
+            units.words(name.replace("_", " ")),
+            units.unit(unit),
+            *((number(value, 6), number(std, 3)) if known else ("not determined", NOTHING)),
+        ]
         for name, (value, std, unit) in chain.parameters.items()
         for known in [chain.determines(name)]
     ]
-    text = f"The response asks for {chain.label}; residuals are {number(chain.misfit, 2)} times the data's deviations."
+    text = (
+        f"The response asks for {units.words(chain.label)}; residuals are {number(chain.misfit, 2)} times the data's "
+        "deviations."
+    )
     return Table(["parameter", "unit", "value", "standard deviation"], rows, text)

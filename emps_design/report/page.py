@@ -12,7 +12,7 @@ import math
 import platform
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib.metadata import version
@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any, TypeGuard
 
 from emps_design.advice import CAUTION, DO_NOT_RUN, SAFE, Advice
 from emps_design.errors import printable
-from emps_design.quantities import display_unit
 from emps_design.report.style import labelled, svg
-from emps_design.units import Units
+from emps_design.units import LINEAR, Units
 from emps_design.view import Html as Html, Table as Table
 
 if TYPE_CHECKING:
@@ -157,6 +156,8 @@ class Section:
 class Page:
     """A whole document; ``html()`` is one self-contained file, the same bytes for the same content.
 
+    Its text is in the units of the axis where it is made; ``units`` are those of the labels in its pictures.
+
     >>> page = Page("Velocity loop", "emps2018", (Callout("good", "Meets the specification"),),
     ...             (Section("Gains", Table(["gain", "value"], [["k", 1.5]])),))
     >>> "Meets the specification" in page.html() and page.html() == page.html()
@@ -171,22 +172,16 @@ class Page:
     units: Units = field(default_factory=Units)
 
     def html(self) -> str:
-        """Return the document as HTML text, in the units of its axis."""
-        return self.units.text(_environment().get_template("page.html.j2").render(page=self, counter=_Counter()))
+        """Return the document as HTML text."""
+        return _environment().get_template("page.html.j2").render(page=self, counter=_Counter())
 
     def pictures(self) -> tuple[Picture, ...]:
-        """Return every picture of the page in order, in the units of its axis."""
+        """Return every picture of the page in order, its labels in the units of the axis."""
         blocks = [*self.summary, *(block for section in self.sections for block in section.blocks)]
-        pictures = [block for block in blocks if isinstance(block, Picture)]
+        pictures = tuple(block for block in blocks if isinstance(block, Picture))
         for picture in pictures:
             labelled(picture.figure, self.units)
-        return tuple(
-            replace(picture, caption=self._in_units(picture.caption), title=self._in_units(picture.title))
-            for picture in pictures
-        )
-
-    def _in_units(self, text: str) -> str:
-        return type(text)(self.units.text(text))
+        return pictures
 
     def _repr_html_(self) -> str:
         source = escape(self.html(), quote=True)
@@ -208,7 +203,7 @@ class _Counter:
 
 def _drawing(picture: Picture, index: int, units: Units) -> str:
     drawing = svg(labelled(picture.figure, units), f"f{index}")
-    label = escape(re.sub(r"<[^>]+>", "", units.text(inline(picture.title or picture.caption))), quote=True)
+    label = escape(re.sub(r"<[^>]+>", "", inline(picture.title or picture.caption)), quote=True)
     return drawing.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
 
 
@@ -247,11 +242,11 @@ def inputs_table(inputs: Mapping[str, str | None]) -> Table:
     return Table(["input", "SHA-256"], rows, "Every input of this page; the same inputs give the same bytes.")
 
 
-def advice_callout(advice: Advice) -> Callout:
-    """Return the box with the advice on a result."""
+def advice_callout(advice: Advice, units: Units) -> Callout:
+    """Return the box with the advice on a result of an axis with ``units``."""
     level, title = LEVELS[advice.level]
     further = (html("Next: <code>{}</code>", advice.next),) if advice.next else ()
-    return Callout(level, title, sentence_of(advice.text), further)
+    return Callout(level, title, sentence_of(units.text(advice.text)), further)
 
 
 def _known(value: float | None) -> TypeGuard[float]:
@@ -278,17 +273,20 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{rounded:.{max(0, digits - 1 - exponent)}f}".replace("-", "−")
 
 
-def quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    """Return ``value`` with its unit, in ms, mm, mm/s or mV where it is below 1.
+def quantity(value: float | None, unit: str, digits: int = 4, units: Units = LINEAR) -> str:
+    """Return ``value`` [SI of ``unit``] in the units of an axis, in ms, mm, mm/s or mV where it is below 1.
 
     >>> quantity(0.00845505, "s"), quantity(115.73, "kg"), quantity(None, "s")
     ('8.455 ms', '115.7 kg', '—')
+    >>> quantity(0.02, "m", units=Units("rotary")), quantity(1.5, "m/s", 3, Units("rotary"))
+    ('1.146 deg', '1.50 rad/s (14.3 rpm)')
     """
     if not _known(value):
         return NOTHING
-    unit, factor = display_unit(value, unit)
-    value = value * factor
-    return f"{number(value, digits)} {unit}".rstrip()
+    name, factor = units.readable(value, unit)
+    if factor == 1.0:
+        return units.quantity(value, unit, lambda shown: number(shown, digits))
+    return f"{number(value * factor, digits)} {name}".rstrip()
 
 
 def frequency(omega: float | None, digits: int = 4) -> str:
@@ -336,8 +334,8 @@ def delay(seconds: float | None, period: float | None = None) -> str:
     return f"{quantity(seconds, 's')}{samples}"
 
 
-def with_std(value: float | None, std: float | None, unit: str = "") -> str:
-    """Return ``value ± std unit``, rounded to two digits of the standard deviation.
+def with_std(value: float | None, std: float | None, unit: str = "", units: Units = LINEAR) -> str:
+    """Return ``value ± std`` [SI of ``unit``] in the units of an axis, to two digits of the standard deviation.
 
     >>> with_std(95.1089, 0.1085, "kg"), with_std(0.0081, 0.0004, "m/s"), with_std(3.0, None, "N")
     ('95.11 ± 0.11 kg', '8.10 ± 0.40 mm/s', '3.000 N')
@@ -345,8 +343,8 @@ def with_std(value: float | None, std: float | None, unit: str = "") -> str:
     if not _known(value):
         return NOTHING
     if not _known(std) or std <= 0:
-        return quantity(value, unit)
-    unit, factor = display_unit(value, unit)
+        return quantity(value, unit, units=units)
+    unit, factor = units.readable(value, unit)
     value, std = value * factor, std * factor
     places = max(0, 1 - math.floor(math.log10(std)))
     if places > 6:
@@ -354,7 +352,7 @@ def with_std(value: float | None, std: float | None, unit: str = "") -> str:
     return f"{value:.{places}f} ± {std:.{places}f} {unit}".rstrip().replace("-", "−")
 
 
-def interval(value: float | None, std: float | None, unit: str = "") -> str:
+def interval(value: float | None, std: float | None, unit: str = "", units: Units = LINEAR) -> str:
     """Return the 95 % interval of a normal estimate, ``value`` ± 1.96 ``std``, with the digits that differ.
 
     >>> interval(95.1089, 0.1085, "kg"), interval(0.005, 1.5e-7, "m"), interval(1.0, 0.0)
@@ -362,7 +360,7 @@ def interval(value: float | None, std: float | None, unit: str = "") -> str:
     """
     if not _known(value) or not _known(std) or std <= 0:
         return NOTHING
-    unit, factor = display_unit(value, unit)
+    unit, factor = units.readable(value, unit)
     low, high = factor * (value - 1.96 * std), factor * (value + 1.96 * std)
     places = min(6, max(0, 1 - math.floor(math.log10(factor * std))))
     return f"{low:.{places}f} to {high:.{places}f} {unit}".rstrip().replace("-", "−")

@@ -113,17 +113,17 @@ def record_section(record: Record, identifications: Sequence[Identification], ax
         f"Record {record.name}",
         Text(
             f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all. "
-            f"Filter {first.chain}: {first.filter_text}."
+            f"Filter {first.chain}: {axis.units.text(first.filter_text)}."
         ),
         Picture(
             record_figure(record, axis.units),
-            "Position on the load side and the voltage that the drive was given.",
+            f"Position on the load side and the {axis.units.word('voltage')} that the drive was given.",
             "Record",
         ),
         *(_parameters_table(identification, axis) for identification in identifications),
-        _quality_table(identifications),
-        _force_picture(first),
-        _warnings(warnings),
+        _quality_table(identifications, axis.units),
+        _force_picture(first, axis.units),
+        _warnings(warnings, axis.units),
     )
 
 
@@ -131,29 +131,31 @@ def identification_blocks(identification: Identification, axis: Axis) -> tuple[A
     """Return tables, picture and warnings of one identification, compared with ``axis``."""
     return (
         _parameters_table(identification, axis),
-        _quality_table((identification,)),
-        _force_picture(identification),
-        _warnings(identification.warnings),
+        _quality_table((identification,), axis.units),
+        _force_picture(identification, axis.units),
+        _warnings(identification.warnings, axis.units),
     )
 
 
-def _warnings(warnings: Sequence[str]) -> Callout | None:
-    return Callout("warning", "What the record says about itself", items=tuple(warnings)) if warnings else None
+def _warnings(warnings: Sequence[str], units: Units) -> Callout | None:
+    items = tuple(map(units.text, warnings))
+    return Callout("warning", "What the record says about itself", items=items) if items else None
 
 
-def _force_picture(identification: Identification) -> Picture:
+def _force_picture(identification: Identification, units: Units) -> Picture:
+    force = units.word("force")
     known = ", both less what the effects of the axis file take" if identification.axis.effects else ""
     return Picture(
         force_figure(identification),
-        f"Force of the motor, measured and by the {identification.model} model with the identified parameters{known}. "
-        "The middle picture enlarges the yellow part. What is left in the lowest picture and repeats from stroke to "
-        "stroke is physics that the model lacks; emps-design diagnose names it.",
-        "Measured against identified force",
+        f"{force.capitalize()} of the motor, measured and by the {identification.model} model with the identified "
+        f"parameters{known}. The middle picture enlarges the yellow part. What is left in the lowest picture and "
+        "repeats from stroke to stroke is physics that the model lacks; emps-design diagnose names it.",
+        f"Measured against identified {force}",
     )
 
 
 def _parameters_table(identification: Identification, axis: Axis) -> Table:
-    mechanics = axis.mechanics
+    mechanics, units = axis.mechanics, axis.units
     known = {
         "mass": mechanics.mass,
         "viscous": mechanics.viscous,
@@ -162,14 +164,14 @@ def _parameters_table(identification: Identification, axis: Axis) -> Table:
     }
     rows: list[list[Any]] = []
     for name, estimate in identification.parameters.items():
-        unit = estimate.quantity.unit
+        label, unit = units.words(words(name)), units.unit(estimate.quantity.unit)
         if estimate.interval_95 is None:
-            rows.append([words(name), unit, "not determined", NOTHING, NOTHING, NOTHING, known.get(name)])
+            rows.append([label, unit, "not determined", NOTHING, NOTHING, NOTHING, known.get(name)])
             continue
         low, high = estimate.interval_95
         rows.append(
             [
-                words(name),
+                label,
                 unit,
                 number(estimate.value, 6),
                 number(estimate.std, 3),
@@ -188,12 +190,14 @@ def _parameters_table(identification: Identification, axis: Axis) -> Table:
     )
 
 
-def _quality_table(identifications: Sequence[Identification]) -> Table:
+def _quality_table(identifications: Sequence[Identification], units: Units) -> Table:
+    force, error = units.word("force"), units.unit("N")
+
     def share(percent: float) -> str:
         return f"{percent:.2f} %" if math.isfinite(percent) else NOTHING
 
     return Table(
-        ["model", "force error [N rms]", "of the force", "condition number", "rows", "independent rows"],
+        ["model", f"{force} error [{error} rms]", f"of the {force}", "condition number", "rows", "independent rows"],
         [
             [
                 identification.model,
@@ -205,13 +209,14 @@ def _quality_table(identifications: Sequence[Identification]) -> Table:
             ]
             for identification in identifications
         ],
-        "How well each model explains the force.",
+        f"How well each model explains the {force}.",
     )
 
 
 def import_page(account: Account) -> Page:
     """Return the page on an import: the columns as they were read, and a picture of the record."""
-    record, units, warnings = account.record, account.axis.units, account.notes
+    record, units = account.record, account.axis.units
+    warnings = tuple(map(units.text, account.notes))
     notes = Callout("warning", "What was done and noticed", items=warnings)
     section = Section(
         f"Record {record.name}",
@@ -247,40 +252,44 @@ def observation_figure(observation: Observation) -> Figure:
     return figure
 
 
-def observation_blocks(observation: Observation) -> tuple[Any, ...]:
-    """Return picture, table and warnings of an observation."""
+def observation_blocks(observation: Observation, units: Units) -> tuple[Any, ...]:
+    """Return picture, table and warnings of an observation in the ``units`` of its axis."""
+    force = units.word("force")
     rows = [
         [
             name,
-            NOTHING if method.rms_error is None else quantity(method.rms_error, "N"),
+            quantity(method.rms_error, "N", 4, units),
             quantity(method.delay, "s"),
-            quantity(method.smallest.value, "N"),
+            quantity(method.smallest.value, "N", 4, units),
             method.smallest.bound.replace("_", " "),
         ]
         for name, method in observation.methods.items()
     ]
+    warnings = tuple(map(units.text, observation.warnings))
     return (
         Picture(
             observation_figure(observation),
-            "Force on the carriage from motor force and motion, (19). Inside the grey band a force cannot be told from "
-            "the errors of model and noise.",
-            "Observed external force",
+            f"{force.capitalize()} on the {units.word('carriage')} from motor {force} and motion, (19). Inside the "
+            f"grey band a {force} cannot be told from the errors of model and noise.",
+            f"Observed external {force}",
         ),
         Table(
-            ["method", "rms error", "delay", "smallest observable force", "what bounds it"],
+            ["method", "rms error", "delay", f"smallest observable {force}", "what bounds it"],
             rows,
             f"Observers on {observation.record} with the axis {observation.axis}.",
         ),
-        Callout("warning", "To read with the numbers", items=observation.warnings) if observation.warnings else None,
+        Callout("warning", "To read with the numbers", items=warnings) if warnings else None,
     )
 
 
-def law_blocks(estimate: LawEstimate) -> tuple[Any, ...]:
-    """Return the blocks of a page about a control law: verdict, table, deviations, residual, notes."""
+def law_blocks(estimate: LawEstimate, units: Units) -> tuple[Any, ...]:
+    """Return the blocks of a page about a control law in ``units``: verdict, table, deviations, residual, notes."""
+    reason, notes = units.text(estimate.reason), [units.text(note) for note in estimate.notes]
     if estimate.controller is None:
-        near = f"The closest law, which is not the machine's: {estimate.closest_in_words}." if estimate.closest else ""
-        texts = (near, *estimate.notes) if near else estimate.notes
-        return (Callout("warning", f"{estimate.verdict}: {estimate.reason}."), *map(Text, texts))
+        if estimate.closest:
+            near = f"The closest law, which is not the machine's: {units.text(estimate.closest_in_words)}."
+            notes.insert(0, near)
+        return (Callout("warning", f"{estimate.verdict}: {reason}."), *map(Text, notes))
     numbers = estimate.numbers
     rows = [[name, value, std, f"{abs(100.0 * std / value):.2g} %" if value else ""] for name, value, std in numbers]
     residual = []
@@ -288,13 +297,13 @@ def law_blocks(estimate: LawEstimate) -> tuple[Any, ...]:
         rms = f"{estimate.residual_rms:.4g} {estimate.command_unit} rms"
         share = f"{100.0 * estimate.residual_share:.3g} % of the command's deviation"
         residual.append(Text(f"The law leaves {rms} of the command, {share}."))
-    words = f"{estimate.verdict}{f', {estimate.reason}' if estimate.reason else ''}."
+    words = f"{estimate.verdict}{f', {reason}' if reason else ''}."
     return (
         Callout("good" if estimate.verdict == "told" else "warning", words),
         Listing(estimate.to_toml()),
         Table(["number", "value", "standard deviation", ""], rows, "Numbers of the controller, as in the axis file."),
         *residual,
-        *map(Text, estimate.notes),
+        *map(Text, notes),
     )
 
 

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from emps_design.control.nested_loops import NestedLoop
     from emps_design.control.velocity.comparison import StepResponse
     from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.units import Units
 
 ACTS_ON = {
     "ip": "integral of the error, proportional on the velocity",
@@ -70,15 +71,16 @@ WALLS = np.geomspace(1.0 / 30.0, 30.0, 22)  # stiffnesses, relative to that of t
 def gains_section(velocity: VelocityLoopDesign) -> Section:
     """Return the section on the axis and the gains of ``velocity``."""
     axis, low_high = velocity.axis, velocity.feasible_phase_margin_deg
-    mechanics, drive, sampling = axis.mechanics, axis.drive, axis.sampling
+    mechanics, drive, sampling, units = axis.mechanics, axis.drive, axis.sampling, axis.units
+    force, braking = units.word("force"), quantity(drive.braking, "N/(m/s)", 6, units)
     rows = [
-        [Html(symbol("M")), quantity(mechanics.mass, "kg", 6), "load-side equivalent mass"],
-        [Html(symbol("F_v")), quantity(mechanics.viscous, "N/(m/s)", 6), "viscous friction"],
-        *([["back-EMF", quantity(drive.braking, "N/(m/s)", 6), "what it brakes beside that"]] if drive.braking else []),
-        [Html(symbol("F_c")), quantity(mechanics.coulomb, "N", 6), "Coulomb friction"],
-        ["offset", quantity(mechanics.offset, "N", 6), "constant force"],
-        [Html(symbol("G_tau")), quantity(drive.force_gain, "N/V", 6), "force per volt"],
-        ["voltage limit", quantity(drive.command_limit, "V"), ""],
+        [Html(symbol("M")), quantity(mechanics.mass, "kg", 6, units), f"load-side equivalent {units.word('mass')}"],
+        [Html(symbol("F_v")), quantity(mechanics.viscous, "N/(m/s)", 6, units), "viscous friction"],
+        *([["back-EMF", braking, "what it brakes beside that"]] if drive.braking else []),
+        [Html(symbol("F_c")), quantity(mechanics.coulomb, "N", 6, units), "Coulomb friction"],
+        ["offset", quantity(mechanics.offset, "N", 6, units), f"constant {force}"],
+        [Html(symbol("G_tau")), quantity(drive.force_gain, "N/V", 6, units), f"{force} per {units.word('volt')}"],
+        [f"{units.word('voltage')} limit", quantity(drive.command_limit, "V", 4, units), ""],
         ["current loop", quantity(drive.current_time_constant, "s"), "time constant, 0: ideal"],
         [
             "sampling period",
@@ -86,15 +88,15 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
             f"Nyquist {frequency(math.pi / sampling.period)}",
         ],
         ["computation delay", f"{sampling.computation_delay} samples", ""],
-        ["encoder step", quantity(sampling.encoder_resolution, "m"), "on the load side"],
-        *([effect.kind.replace("_", " "), "effect", _parameters(effect)] for effect in axis.effects),
+        ["encoder step", quantity(sampling.encoder_resolution, "m", 4, units), "on the load side"],
+        *([effect.kind.replace("_", " "), "effect", _parameters(effect, units)] for effect in axis.effects),
     ]
     equations = ("(7)", "(8)", "(9)") if velocity.structure.form == "ip" else ("PI", "as (8)", "as (9)")
     solved = "retuned, for the loop as sampled" if velocity.retuned_at else equations[0]
     gains = [
-        [Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 6), f"{solved}; kp of a drive"],
+        [Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 6, units), f"{solved}; kp of a drive"],
         [Html(symbol("t_v")), quantity(velocity.t_v, "s", 6), f"{solved}; Tn of a drive"],
-        [Html(symbol("K_v")), quantity(velocity.K_v, "N/m", 6), equations[1]],
+        [Html(symbol("K_v")), quantity(velocity.K_v, "N/m", 6, units), equations[1]],
         [Html(symbol("omega_0v")), frequency(velocity.omega_0v, 6), equations[2]],
         [Html(symbol("z_v")), number(velocity.z_v, 6), equations[2]],
         ["structure", velocity.structure.label, "of the velocity loop"],
@@ -104,8 +106,8 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
         "Axis and gains",
         Picture(
             velocity_and_force_loop_diagram(velocity.structure, bool(velocity.filters)),
-            f"The {velocity.structure.label} velocity loop ({ACTS_ON[velocity.structure.form]}) inside the force loop. "
-            "The two dotted lines are the places where the loop is broken to read margins.",
+            f"The {velocity.structure.label} velocity loop ({ACTS_ON[velocity.structure.form]}) inside the {force} "
+            "loop. The two dotted lines are the places where the loop is broken to read margins.",
             "Structure, after Fig. 4 of the paper",
         ),
         Table(["quantity", "value", "meaning"], rows, f"The axis {axis.name} as designed on."),
@@ -119,9 +121,9 @@ def gains_section(velocity: VelocityLoopDesign) -> Section:
     )
 
 
-def _parameters(effect: Any) -> str:
-    units = {p.name: p.unit for p in effect.effect.parameters}
-    return ", ".join(f"{name} {quantity(value, units[name])}" for name, value in effect.parameters.items())
+def _parameters(effect: Any, units: Units) -> str:
+    unit = {p.name: p.unit for p in effect.effect.parameters}
+    return ", ".join(f"{name} {quantity(value, unit[name], 4, units)}" for name, value in effect.parameters.items())
 
 
 def velocity_section(velocity: VelocityLoopDesign) -> Section:
@@ -204,11 +206,11 @@ def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> S
     from emps_design.control.velocity.design import difference_equation, encoder_voltage_noise, largest_velocity_step
     from emps_design.control.velocity.load_range import margins_under_mismatch, relative_mismatch
 
-    axis = velocity.axis
+    axis, units = velocity.axis, velocity.axis.units
+    voltage = units.word("voltage")
     equation = difference_equation(axis, velocity.k_v1, velocity.t_v, velocity.structure, velocity.filters)
-    blocks: list[Any] = [
-        Listing("\n".join(equation.lines), "The law with its numbers, once a sample: q [m], v_ref [m/s], u [V].")
-    ]
+    signals = units.label("q [m], v_ref [m/s], u [V]")
+    blocks: list[Any] = [Listing("\n".join(equation.lines), f"The law with its numbers, once a sample: {signals}.")]
     if velocity.sampled.stable:
         step = largest_velocity_step(axis, velocity.sampled)
         noise = encoder_voltage_noise(axis, velocity.sampled)
@@ -218,24 +220,28 @@ def drive_section(velocity: VelocityLoopDesign, mismatch: float = MISMATCH) -> S
                 [
                     [
                         "largest velocity step",
-                        quantity(step["value"], "m/s"),
-                        f"from rest, below the voltage limit of {quantity(step['voltage_limit'], 'V', 3)}; "
-                        f"{quantity(step['dry_friction_voltage'], 'V', 3)} of it go into dry friction",
+                        quantity(step["value"], "m/s", 4, units),
+                        f"from rest, below the {voltage} limit of {quantity(step['voltage_limit'], 'V', 3, units)}; "
+                        f"{quantity(step['dry_friction_voltage'], 'V', 3, units)} of it go into dry friction",
                     ],
-                    ["voltage noise of the encoder", quantity(noise["rms"], "V", 3), "rms in closed loop, in motion"],
-                    ["one step of the encoder", quantity(noise["one_step"], "V", 3), "jump of the voltage"],
+                    [
+                        f"{voltage} noise of the encoder",
+                        quantity(noise["rms"], "V", 3, units),
+                        "rms in closed loop, in motion",
+                    ],
+                    ["one step of the encoder", quantity(noise["one_step"], "V", 3, units), f"jump of the {voltage}"],
                 ],
-                "Room below the voltage limit, and the price of the encoder's resolution.",
+                f"Room below the {voltage} limit, and the price of the encoder's resolution.",
             )
         )
-    blocks.append(_mismatch_table(margins_under_mismatch(velocity, relative_mismatch(mismatch)), mismatch))
+    blocks.append(_mismatch_table(margins_under_mismatch(velocity, relative_mismatch(mismatch)), mismatch, units))
     return Section("On the drive", *blocks)
 
 
-def _mismatch_table(study: dict[str, Any], mismatch: float) -> Table | Text:
-    percent = f"{100 * mismatch:g} %"
+def _mismatch_table(study: dict[str, Any], mismatch: float, units: Units) -> Table | Text:
+    off = f"{units.word('mass')}, viscous friction and {units.word('force')} gain off by ±{100 * mismatch:g} %"
     if not study["stable_share"]:
-        return Text(f"With mass, viscous friction and force gain off by ±{percent} every corner is unstable.")
+        return Text(f"With {off} every corner is unstable.")
 
     def interval(key: str, shown: Any) -> list[str]:
         low, high = study[key] or (None, None)
@@ -250,15 +256,14 @@ def _mismatch_table(study: dict[str, Any], mismatch: float) -> Table | Text:
     ]
     if study["gains"]:
         rows += [
-            [Html(symbol("k_v1") + " for the same request"), *(quantity(x, "V/(m/s)") for x in study["gains"]["k_v1"])],
-            [Html(symbol("t_v") + " for the same request"), *(quantity(x, "s") for x in study["gains"]["t_v"])],
+            [Html(f"{symbol(name)} for the same request"), *(quantity(x, unit, 4, units) for x in study["gains"][name])]
+            for name, unit in (("k_v1", "V/(m/s)"), ("t_v", "s"))
         ]
     stable = "all" if study["stable_share"] == 1.0 else f"{100 * study['stable_share']:.3g} %"
     return Table(
         ["", "lowest", "highest"],
         rows,
-        f"The same gains on {study['corners']} plants with mass, viscous friction and force gain off by "
-        f"±{percent}; {stable} of them stable.",
+        f"The same gains on {study['corners']} plants with {off}; {stable} of them stable.",
     )
 
 
@@ -323,25 +328,30 @@ def force_loop_figure(design: ForceLoopDesign) -> Figure:
 
 def force_section(force: ForceLoopDesign) -> Section:
     """Return the section on the force loop ``force``: stability first, then margins and limits."""
-    operator = []
+    units, operator = force.velocity_loop.axis.units, []
+    word, carriage = units.word("force"), units.word("carriage")
     if force.hand:
-        operator.append(f"a viscous hand of {quantity(force.hand, 'N/(m/s)')}")
+        operator.append(f"a viscous hand of {quantity(force.hand, 'N/(m/s)', 4, units)}")
     if force.environment:
-        operator.append(f"a wall of {number(force.environment / 1e3)} N/mm")
+        operator.append(f"a wall of {number(force.environment / 1e3)} {units.unit('N/mm')}")
     margins, stable = force.margins, force.worst.margins.stable
 
     def limit(value: float | None) -> str:
-        return "unbounded" if value is None else f"{number(value)} (m/s)/N"
+        return "unbounded" if value is None else quantity(value, "(m/s)/N", 4, units)
 
     def margin(shown: str) -> str:
         return shown if force.stable else "unstable"
 
-    reading = str(force.paper_reading["text"])
+    reading = units.text(str(force.paper_reading["text"]))
     warnings = [warning for warning in force.warnings if "unstable" not in warning]
     rows = [
-        [Html(symbol("k_e1")), f"{number(force.k_e1)} (m/s)/N", "velocity per newton"],
-        [Html(symbol("k_c")), quantity(force.k_c, "N/(m/s)"), "what the hand feels at low frequency, 1/k_e1"],
-        ["apparent mass", quantity(force.apparent_mass, "kg"), "low-frequency match of k_e1 T_vc with 1/(M_a s + B)"],
+        [Html(symbol("k_e1")), quantity(force.k_e1, "(m/s)/N", 4, units), f"velocity per {units.word('newton')}"],
+        [Html(symbol("k_c")), quantity(force.k_c, "N/(m/s)", 4, units), "what the hand feels at low frequency, 1/k_e1"],
+        [
+            f"apparent {units.word('mass')}",
+            quantity(force.apparent_mass, "kg", 4, units),
+            "low-frequency match of k_e1 T_vc with 1/(M_a s + B)",
+        ],
         ["largest gain, continuous", limit(force.k_e1_max_continuous), "closed form (Routh)"],
         ["largest gain, sampled", limit(force.k_e1_max_sampled), "by the poles of the loop as implemented"],
         [
@@ -353,29 +363,31 @@ def force_section(force: ForceLoopDesign) -> Section:
         ["delay margin, sampled", margin(delay(margins.delay_margin, margins.period)), ""],
     ]
     return Section(
-        "Force loop",
+        f"{word.capitalize()} loop",
         Text(
-            f"Operator: {' and '.join(operator) or 'none'}, tau_e = −(k_h q̇ + K_env q), positive towards +q. The force "
-            f"acts on the sensor{' and on the carriage' if force.on_carriage else ' only'}."
+            f"Operator: {' and '.join(operator) or 'none'}, tau_e = −(k_h q̇ + K_env q), positive towards +q. The "
+            f"{word} acts on the sensor{f' and on the {carriage}' if force.on_carriage else ' only'}."
         ),
-        Callout("good", "stable.") if stable else Callout("stop", f"the {force.worst.name} is unstable."),
+        Callout("good", "stable.") if stable else Callout("stop", f"the {units.words(force.worst.name)} is unstable."),
         Table(
-            ["quantity", "value", "meaning"], rows, "Force loop of Fig. 4, (10) and (11), with an explicit operator."
+            ["quantity", "value", "meaning"],
+            rows,
+            f"{word.capitalize()} loop of Fig. 4, (10) and (11), with an explicit operator.",
         ),
         Callout("note", "The paper's own reading of (10), (11)", f"{reading}."),
         Picture(
             force_limit_figure(force),
             "Shaded, above the dashed line, the loop as implemented is unstable: the “too high gain” of the paper. "
             "Where all is shaded no gain is stable, where nothing is any. The stiffer the wall, the smaller the gain.",
-            "How large the force gain may be",
+            f"How large the {word} gain may be",
         ),
         Picture(
             force_loop_figure(force),
             "Left: the loop must leave −1 on its left. Right: the closed-loop poles, velocity loop and operator "
             "included.",
-            "Force loop in contact",
+            f"{word.capitalize()} loop in contact",
         ),
-        Callout("warning", "To read with the numbers", items=tuple(warnings)) if warnings else None,
+        Callout("warning", "To read with the numbers", items=tuple(map(units.text, warnings))) if warnings else None,
     )
 
 

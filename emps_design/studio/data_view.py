@@ -108,7 +108,7 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     least = min(observation.methods.values(), key=lambda method: method.smallest.value).smallest.value
     return {
         "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
-        "html": _blocks(axis.units, *observation_blocks(observation)),
+        "html": _blocks(axis.units, *observation_blocks(observation, axis.units)),
         "advice": _advice("observe", observation.to_dict(), record, axis),
     }
 
@@ -124,7 +124,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
     table, name = law.controller, f"{axis.name.split(' with the law')[0]} with the law of {record.name}"
     return {
         "text": f"Law {law.verdict}: {law.in_words or law.reason}.",
-        "html": _blocks(axis.units, *law_blocks(law)),
+        "html": _blocks(axis.units, *law_blocks(law, axis.units)),
         "model": None if table is None else Axis.from_dict({**axis.to_dict(), "controller": table, "name": name}, name),
         "advice": _advice("law", law.to_dict(), record, axis),
     }
