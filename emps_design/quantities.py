@@ -29,6 +29,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "%": (1e-6, 1e10),
     "V/(m/s)": (1e-9, 1e12),
     "(m/s)/N": (1e-12, 1e6),
+    "(rad/s)/(N m)": (1e-12, 1e6),
     "N/s": (1e-6, 1e9),
     "s": (1e-9, 1e5),
     "m": (1e-15, 1e5),
