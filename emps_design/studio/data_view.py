@@ -45,7 +45,7 @@ INTRODUCTION = """
 <tr><th><b>Identify</b></th><td>mass and friction of the axis with their standard deviations: seconds</td></tr>
 <tr><th><b>Law</b></th><td>the controller that made the record, its structure and gains with their deviations, from
 reference, position and command alone: seconds</td></tr>
-<tr><th><b>Observe</b></th><td>the external force on the carriage, and the smallest that shows: seconds</td></tr>
+<tr><th><b>Observe</b></th><td>the external force on the axis, and the smallest that shows: seconds</td></tr>
 <tr><th><b>Response</b></th><td>the frequency response from force to velocity with its band, beside the model, and the
 masses and the coupling that fit it, where the record was excited: seconds</td></tr>
 <tr><th><b>Diagnose</b></th><td>where simulation and record disagree, which effect explains it, and how much of the gap
@@ -69,7 +69,7 @@ def _blocks(units: Units, *blocks: Any) -> str:
 
 def _advice(name: str, document: dict[str, Any], record: Record, axis: Axis) -> Advice:
     """Return the advice on the ``document`` that the command ``name`` makes of ``record``."""
-    return advise(name, document, axis=axis.name, records=[record.name])
+    return advise(name, document, axis=axis.name, records=[record.name], units=axis.units)
 
 
 def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
@@ -81,16 +81,18 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
     choices = {"model": options["friction"], "filter": options["chain"], "holdout": options.get("held_out")}
     identification = identify(record, axis, **choices)
     progress("drawing", 0.7)
-    estimates = identification.parameters
+    estimates, units = identification.parameters, axis.units
     values = ", ".join(
-        f"{name.replace('_', ' ')} {quantity(e.value, e.quantity.unit)}" for name, e in estimates.items()
+        f"{units.words(name.replace('_', ' '))} {quantity(e.value, e.quantity.unit, units=units)}"
+        for name, e in estimates.items()
     )
     judged = identification.extra["held_out"]
-    judged_on = f", {quantity(judged['rms_error'], 'N')} on {judged['on']}" if options.get("held_out") else ""
+    error, on_held_out = (quantity(e, "N", units=units) for e in (identification.rms_error, judged["rms_error"]))
+    judged_on = f", {on_held_out} on {judged['on']}" if options.get("held_out") else ""
     complete = all(estimate.determined for estimate in estimates.values())
     name = f"{axis.name.split(' from ')[0]} from {record.name}"
     return {
-        "text": f"Identified: {values}; force error {quantity(identification.rms_error, 'N')} rms{judged_on}.",
+        "text": f"Identified: {values}; {units.word('force')} error {error} rms{judged_on}.",
         "html": _blocks(axis.units, *identification_blocks(identification, axis)),
         "model": identification.to_axis(name=name) if complete else None,
         "advice": _advice("identify", identification.to_dict(), record, axis),
@@ -105,10 +107,12 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     progress("observing", 0.2)
     observation = observe(record, axis)
     progress("drawing", 0.7)
+    units = axis.units
     least = min(observation.methods.values(), key=lambda method: method.smallest.value).smallest.value
     return {
-        "text": f"Observed with {axis.name}: forces below {quantity(least, 'N', 3)} cannot be told from errors.",
-        "html": _blocks(axis.units, *observation_blocks(observation, axis.units)),
+        "text": f"Observed with {axis.name}: {units.word('forces')} below {quantity(least, 'N', 3, units)} cannot be "
+        "told from errors.",
+        "html": _blocks(units, *observation_blocks(observation, units)),
         "advice": _advice("observe", observation.to_dict(), record, axis),
     }
 
@@ -490,11 +494,7 @@ class DataView:
         self._record_changed()
 
     def _say(self, text: str, level: str, more: str = "") -> None:
-        self.message.object = message("", level, self._own(inline(text) + more))
-
-    def _own(self, text: str) -> str:
-        """Return ``text`` in the units of the axis of the record."""
-        return self._axis.units.text(text)
+        self.message.object = message(text, level, more)
 
     def _button(self, name: str) -> pn.widgets.Button:
         """Return the button that starts the job ``name``."""
@@ -531,7 +531,7 @@ class DataView:
     def _done(self, outcome: dict[str, Any]) -> None:
         advice, summary = outcome["advice"], inline(outcome["text"])
         level = LEVELS[advice.level][0]
-        self.message.object = self._own(judgement(sentence_of(advice.text), level, f"<br>{summary}"))
+        self.message.object = judgement(sentence_of(advice.text), level, f"<br>{summary}")
         self.result.object = outcome["html"]
         self.model = outcome.get("model")
         self.take.disabled = self.model is None

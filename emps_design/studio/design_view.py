@@ -104,7 +104,7 @@ def verdict_message(design: VelocityLoopDesign) -> str:
     from emps_design.control.verdict import DesignVerdict
 
     worst = DesignVerdict(design).worst
-    name = f"the worst loop that will run, the {loop_in_words(worst)},"
+    name = f"the worst loop that will run, the {loop_in_words(worst, design.axis.units)},"
     if not worst.margins.stable:
         return message(f"Do not run: {name} is unstable.", "stop")
     has = f"{name} has {margins_in_words(worst.margins)}"
@@ -129,18 +129,18 @@ def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, st
     try:
         force = design_force_loop(design, state.k_e1, hand=state.hand, environment=state.wall * 1e3)
     except EmpsError as error:
-        return [(loop, units.text(str(error)))]
+        return [(loop, str(error))]
     if not design.sampled.stable:
         return [(loop, bold("the velocity loop inside it is unstable", "no"))]
     limit = force.k_e1_max_sampled
-    felt = f"{quantity(force.k_c, 'N/(m/s)')}, {quantity(force.apparent_mass, 'kg')}"
+    felt = f"{quantity(force.k_c, 'N/(m/s)', units=units)}, {quantity(force.apparent_mass, 'kg', units=units)}"
     return [
         (f"{loop}, sampled", bold("stable", "yes") if force.stable else bold("unstable", "no")),
         (
             f"k_e1, largest [{units.unit('(m/s)/N')}]",
             f"{number(state.k_e1)}, {'unbounded' if limit is None else number(limit)}",
         ),
-        (f"felt: damping, {units.words('mass')}", units.text(felt)),
+        (f"felt: damping, {units.word('mass')}", felt),
     ]
 
 
@@ -165,7 +165,7 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
         )
         felt = worst.apparent(plant)
     except EmpsError as error:
-        return [("impedance law", bold(units.text(str(error)), "no"))]
+        return [("impedance law", bold(str(error), "no"))]
 
     def shown(word: str) -> str:
         return bold(word.replace("_", " "), "no" if word in ("unstable", "limit_cycle", "creeping") else "yes")
@@ -174,10 +174,10 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
         ("impedance law, exact", shown(exact)),
         (f"over-estimate of {state.mismatch_percent:g} %", shown(over)),
         (
-            f"felt then: {units.words('mass')}, damping",
-            units.text(f"{quantity(felt.mass, 'kg')}, {quantity(felt.damping, 'N/(m/s)')}"),
+            f"felt then: {units.word('mass')}, damping",
+            f"{quantity(felt.mass, 'kg', units=units)}, {quantity(felt.damping, 'N/(m/s)', units=units)}",
         ),
-        ("Coulomb left", units.text(quantity(felt.coulomb_left, "N"))),
+        ("Coulomb left", quantity(felt.coulomb_left, "N", units=units)),
     ]
 
 
@@ -354,7 +354,7 @@ class DesignView:
         self._quiet = True
         try:
             for title, pane in self.titles.items():
-                pane.object = self._own(f"<h3>{title}</h3>")
+                pane.object = f"<h3>{state.axis.units.words(title)}</h3>"
             for name, knob in self.knobs.items():
                 knob.set(getattr(state, name))
             for name, group in self.words.items():
@@ -405,7 +405,7 @@ class DesignView:
 
         notes, reached = self._feasible_note(move)
         self.design = velocity_design(self.state)
-        self.verdict.object = self._own(verdict_message(self.design))
+        self.verdict.object = verdict_message(self.design)
         refused = f"{sentence_of(self.design.refused)} " if self.design.refused else ""
         self._say(f"{refused}{note} {notes}".strip(), "note" if reached and not refused else "stop")
         state = self.state
@@ -419,9 +419,5 @@ class DesignView:
         self.numbers.object = numbers_table(state, self.design, self.pinned)
         self.laws.object = laws_table(state, self.design)
 
-    def _own(self, text: str) -> str:
-        """Return ``text`` in the units of the axis."""
-        return self.state.axis.units.text(text)
-
     def _say(self, text: str, level: str) -> None:
-        self.message.object = self._own(message(text, level)) if text else ""
+        self.message.object = message(text, level) if text else ""

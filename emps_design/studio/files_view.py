@@ -268,4 +268,4 @@ class FilesView:
         self._say(f"{name} is loaded; the design tab shows it", "good")
 
     def _say(self, text: str, level: str) -> None:
-        self.message.object = self._state().axis.units.text(message(text, level))
+        self.message.object = message(text, level)

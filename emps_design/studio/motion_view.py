@@ -74,11 +74,11 @@ class MotionRuns:
 
     def verdict(self) -> tuple[str, str]:
         """Return the level of the verdict, one of the keys of a message, and its sentence."""
-        document, own = self.runs[DESIGN].to_dict(), self.runs.get(OWN)
+        document, own, units = self.runs[DESIGN].to_dict(), self.runs.get(OWN), self.state.axis.units
         error, rate = document["tracking_error"], f"{self.loop.every}. " if self.loop.every > 1 else ""
         text = (
             f"{self.about}, kp {self.loop.kp:g} 1/s in every {rate}sample: tracking error "
-            f"{quantity(error['rms'], 'm')} rms, {quantity(error['largest'], 'm')} at most"
+            f"{self._length(error['rms'])} rms, {self._length(error['largest'])} at most"
         )
         clipped = document["saturated_share"]
         text = f"{text}; at the limit of the command {100.0 * clipped:.3g} %."
@@ -88,13 +88,16 @@ class MotionRuns:
         worse = any(error[name] > own_error[name] for name in ("rms", "largest") if own_error)
         if worse:
             text += (
-                f" The axis's own controller follows more closely: {quantity(own_error['rms'], 'm')} rms, "
-                f"{quantity(own_error['largest'], 'm')} at most."
+                f" The axis's own controller follows more closely: {self._length(own_error['rms'])} rms, "
+                f"{self._length(own_error['largest'])} at most."
             )
-        advice = advise("simulate", document)
+        advice = advise("simulate", document, units=units)
         if advice.level != SAFE:
             text = f"{sentence_of(advice.text)} {text}"
         return ("warning" if worse and advice.level == SAFE else LEVELS[advice.level][0]), text
+
+    def _length(self, value: float) -> str:
+        return quantity(value, "m", units=self.state.axis.units)
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return the row of headings, then a row of numbers for each run."""
@@ -106,7 +109,7 @@ class MotionRuns:
             error, most = document["tracking_error"], document["largest"]
             numbers = ((error["rms"], "m"), (error["largest"], "m"), (most["velocity"], "m/s"), (most["voltage"], "V"))
             share = f"{100.0 * document['saturated_share']:.3g} %"
-            rows.append((name, *(quantity(value, unit) for value, unit in numbers), share))
+            rows.append((name, *(quantity(value, unit, units=self.state.axis.units) for value, unit in numbers), share))
         return rows
 
 
@@ -242,10 +245,9 @@ class MotionView:
         state, file, record = self._state(), self._file, self._record()
         self.withdraw()
         self._of, self._along = state, record
-        units = state.axis.units
 
         def failed(text: str) -> None:
-            self.message.object = units.text(message(text, "stop"))
+            self.message.object = message(text, "stop")
 
         def done(motion_runs: MotionRuns) -> None:
             if self._of is state:
@@ -258,9 +260,9 @@ class MotionView:
         drawn = svg(labelled(motion_figure(motion_runs.runs), units), "motion")  # before the words that stand over it
         level, text = motion_runs.verdict()
         notes = "".join(f"<br>{inline(note)}" for note in motion_runs.notes)
-        self.message.object = units.text(judgement(text, level, notes))
+        self.message.object = judgement(text, level, notes)
         headings, *rows = motion_runs.rows()
-        self.table.object = units.text(table(headings, rows))
+        self.table.object = table(headings, rows)
         self.picture.object = drawn
 
 
@@ -358,19 +360,20 @@ class CompensationView:
 
     def _done(self, compensation: Compensation) -> None:
         self.compensation, self.download.disabled = compensation, False
+        units = compensation.axis.units
         ratio = compensation.without / compensation.achieved if compensation.achieved > 0.0 else float("inf")
         shown_above = tuple(f"{name} is not compensated" for name in compensation.not_compensated)
         more = [line for line in compensation.warnings if not line.startswith(shown_above)]
         more += [f"{ON_ERROR.capitalize()}."] * bool(compensation.feedforward.terms)
-        advice = advise("compensate", compensation.to_dict())
+        advice = advise("compensate", compensation.to_dict(), units=units)
         text = (
             f"Tracking error rms {compensation.without:.3g} {compensation.unit} without, {compensation.achieved:.3g} "
             f"with what is kept ({ratio:,.0f} times less), {compensation.worst:.3g} with every parameter wrong; "
             f"controller: {self.controller.value}, {compensation.axis.controller.kind.replace('_', ' ')}."
         )
-        lines = (text, *more, *(remedy["advice"] for remedy in compensation.feedback))
+        lines = (text, *more, *(units.text(remedy["advice"]) for remedy in compensation.feedback))
         shown = "".join(f"<br>{inline(line)}" for line in lines)
-        self.message.object = self._axis.units.text(judgement(sentence_of(advice.text), LEVELS[advice.level][0], shown))
+        self.message.object = judgement(sentence_of(advice.text), LEVELS[advice.level][0], shown)
         headings = ("term", f"alone [{compensation.unit}]", "all but it", "all, it wrong", "")
         rows = [
             (term.name.replace("_", " "), *map(_written, (term.alone, term.left_out, term.worst)),
@@ -378,7 +381,7 @@ class CompensationView:
             for term in compensation.terms
         ]  # fmt: skip
         self.table.object = table(headings, rows)
-        self.picture.object = svg(labelled(tracking_figure(compensation), compensation.axis.units), "tracking")
+        self.picture.object = svg(labelled(tracking_figure(compensation), units), "tracking")
 
     def _folder(self) -> BytesIO:
         try:
@@ -391,7 +394,7 @@ class CompensationView:
         return BytesIO(data)
 
     def _say(self, text: str, level: str, more: str = "") -> None:
-        self.message.object = self._axis.units.text(message(text, level, more))
+        self.message.object = message(text, level, more)
 
 
 def _written(value: float | None) -> str:

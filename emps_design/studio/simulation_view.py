@@ -62,16 +62,22 @@ class Simulated:
 
     def verdict(self) -> tuple[str, str]:
         """Return the level of the verdict, one of the keys of a message, and its sentence."""
-        state, worst = self.state, self.worst["verdict"]
+        state, worst, units = self.state, self.worst["verdict"], self.state.axis.units
+        mass, damping = units.quantity(state.mass, "kg", "g"), units.quantity(state.damping, "N/(m/s)", "g")
         text = (
-            f"M_a {state.mass:g} kg, B {state.damping:g} N/(m/s), filter {state.filter:g} rad/s on {state.axis.name}: "
+            f"M_a {mass}, B {damping}, filter {state.filter:g} rad/s on {state.axis.name}: "
             f"the worst of {self.study.corners} corners and {state.plants} random plants is {self._worst_in_words}."
         )
         if self.wall.verdict not in ("bouncing", "unstable") and self.wall_poles_stable:
             creeps = "warning" if worst in ("creeping", "no_motion") else "stop"
             return ("good" if worst in ("stable", "dead_band") else creeps), text
         poles = "" if self.wall_poles_stable else ", where the poles of the loop are unstable"
-        return "stop", f"{text} Pushed into the wall of {state.wall:g} N/mm it is {self.wall.verdict}{poles}."
+        return "stop", f"{text} Pushed into the wall of {self._stiffness} it is {self.wall.verdict}{poles}."
+
+    @property
+    def _stiffness(self) -> str:
+        """The stiffness of the wall with its unit."""
+        return f"{self.state.wall:g} {self.state.axis.units.unit('N/mm')}"
 
     @property
     def _worst_in_words(self) -> str:
@@ -82,7 +88,8 @@ class Simulated:
             return f"{verdict.replace('_', ' ')} by its poles ({run.verdict.replace('_', ' ')} in the {length} drawn)"
         if verdict != "limit_cycle":
             return verdict.replace("_", " ")
-        low, high = (quantity(float(speed[0]), "m/s", 2) for speed in (run.measures.end_min_v, run.measures.end_max_v))
+        speeds, units = (run.measures.end_min_v, run.measures.end_max_v), self.state.axis.units
+        low, high = (quantity(float(speed[0]), "m/s", 2, units) for speed in speeds)
         moving = np.flatnonzero(run.v)
         last = int(moving[-1]) if moving.size else 0
         since = quantity(float(run.t[last]), "s", 3)
@@ -91,24 +98,31 @@ class Simulated:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return names and values of the verdicts and of what the hand feels on the worst plant."""
-        state, worst, wall = self.state, self.worst, self.wall
+        state, worst, wall, units = self.state, self.worst, self.wall, self.state.axis.units
         exact = self.runs[EXACT].verdict
         share, low, high = self.study.stable_share
-        peak = "" if wall.peak_force is None else f", at most {quantity(wall.peak_force, 'N')}"
+        peak = "" if wall.peak_force is None else f", at most {quantity(wall.peak_force, 'N', units=units)}"
         off = ", ".join(
-            f"{name.replace('_', ' ')} {100 * e:+.1f} %".replace("-", "−") for name, e in worst["errors"].items()
+            f"{units.words(name.replace('_', ' '))} {100 * e:+.1f} %".replace("-", "−")
+            for name, e in worst["errors"].items()
         )
-        felt = f"{quantity(worst['apparent_mass'], 'kg')}, {quantity(worst['apparent_damping'], 'N/(m/s)')}"
+        felt = ", ".join(
+            quantity(worst[name], base, units=units)
+            for name, base in (("apparent_mass", "kg"), ("apparent_damping", "N/(m/s)"))
+        )
         among = f" (95 %: {100 * low:.3g} to {100 * high:.3g} %)" if state.plants else ", of the corners"
         return [
             ("verdict, exact estimates", exact.replace("_", " ")),
             (f"verdict, worst within ±{state.mismatch_percent:g} %", worst["verdict"].replace("_", " ")),
             ("estimates of the worst", off),
             ("come to rest when let go", f"{100 * share:.4g} %{among}"),
-            ("worst: apparent mass, damping", felt),
-            ("worst: peak voltage", quantity(worst["peak_voltage"], "V")),
-            ("worst: rms force of the hand", quantity(worst["effort"]["rms_force"], "N")),
-            (f"pushed into a wall of {state.wall:g} N/mm", wall.verdict + peak),
+            (f"worst: apparent {units.word('mass')}, damping", felt),
+            (f"worst: peak {units.word('voltage')}", quantity(worst["peak_voltage"], "V", units=units)),
+            (
+                f"worst: rms {units.word('force')} of the hand",
+                quantity(worst["effort"]["rms_force"], "N", units=units),
+            ),
+            (f"pushed into a wall of {self._stiffness}", wall.verdict + peak),
             (
                 f"poles of the loop at that wall{', without the effects' if left_out(state.axis) else ''}",
                 "stable" if self.wall_poles_stable else "unstable",
@@ -127,15 +141,16 @@ class Simulated:
 
     def captions(self) -> dict[str, str]:
         """Return the caption of each picture by name."""
-        state, task = self.state, self.study.task
+        state, task, units = self.state, self.study.task, self.state.axis.units
         return {
-            "task": f"The hand lets go after {quantity(task.release * task.period, 's', 3)}: the carriage must "
-            f"then come to rest, not creep on or swing. {WORST.capitalize()}: "
+            "task": f"The hand lets go after {quantity(task.release * task.period, 's', 3)}: "
+            f"the {units.word('carriage')} must then come to rest, not creep on or swing. {WORST.capitalize()}: "
             f"{self.runs[WORST].verdict.replace('_', ' ')}.",
-            "wall": f"A push of {state.push:g} N into a wall of {state.wall:g} N/mm, exact estimates: "
-            f"{self.wall.verdict}. The position must come to rest at the wall, not bounce off it for ever.",
-            "plants": f"What estimates up to {state.mismatch_percent:g} % wrong do: apparent mass and damping, "
-            "coloured by verdict, and how many plants get which.",
+            "wall": f"A push of {units.quantity(state.push, 'N', 'g')} into a wall of {self._stiffness}, "
+            f"exact estimates: {self.wall.verdict}. "
+            "The position must come to rest at the wall, not bounce off it for ever.",
+            "plants": f"What estimates up to {state.mismatch_percent:g} % wrong do: "
+            f"apparent {units.word('mass')} and damping, coloured by verdict, and how many plants get which.",
         }
 
 
@@ -228,19 +243,18 @@ class SimulationView:
         self.job.start(lambda progress: simulate(state, progress), self._done, self._failed)
 
     def _failed(self, text: str) -> None:
-        self.message.object = self._state().axis.units.text(message(text, "stop"))
+        self.message.object = message(text, "stop")
 
     def _done(self, simulated: Simulated) -> None:
         if simulated.state is not self._of:
             return
         level, text = simulated.verdict()
-        units = simulated.state.axis.units
-        self.message.object = units.text(judgement(text, level))
+        self.message.object = judgement(text, level)
         rows = [(name, bold(value)) for name, value in simulated.rows()]
-        self.table.object = units.text(table(("", ""), rows))
-        captions = simulated.captions()
+        self.table.object = table(("", ""), rows)
+        captions, units = simulated.captions(), simulated.state.axis.units
         for name, figure in simulated.figures().items():
-            caption = units.text(inline(captions[name]))
+            caption = inline(captions[name])
             self.pictures[name].object = f'{svg(labelled(figure, units), name)}<p class="caption">{caption}</p>'
 
 

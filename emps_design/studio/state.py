@@ -250,7 +250,7 @@ def differences_in_words(before: State, after: State) -> str:
     """
     changes, anew = [], ""
     for name, choice in CHOICES.items():
-        label, _, unit = choice.label.rpartition(" [")
+        label, _, unit = after.axis.units.label(choice.label).rpartition(" [")
         if _unit(choice, after.axis) != _unit(choice, before.axis):
             anew = "Numbers in other units start anew."
         elif getattr(before, name) != getattr(after, name):

@@ -72,7 +72,7 @@ def test_a_knob_turns_over_the_range_of_its_axis():
     assert (slider.start, slider.value, slider.end, slider.step) == (0.01, 0.5, 2.0, 0.01)
     assert view.knobs["wall"].field.step == 0.01
     view.turn("mass", 60.0)
-    assert "inertia: found 60.0, expected 0.01 to 2" in view.message.object
+    assert "mass: found 60.0, expected 0.01 to 2" in view.message.object
     view.add_axis(UNLIKE["30 t"])
     frequency = choices_of(UNLIKE["30 t"])["frequency"]
     assert (view.plane.plot.x_range.start, view.plane.plot.x_range.end) == (frequency.lower, frequency.upper)

@@ -331,14 +331,3 @@ def test_the_report_is_handed_out_with_the_record_its_axis_and_its_filter(at_onc
     session.data._withdraw()
     asyncio.run(button.callback())
     assert asked == [{"record": RECORD, "record_axis": machine("emps2019"), "record_filter": "paper"}, {}]
-
-
-def test_what_the_files_tab_says_is_in_the_units_of_the_axis(at_once, monkeypatch):
-    def refuse(now, measured, progress):
-        raise EmpsError("found a wall of 3 N/m")
-
-    monkeypatch.setattr(files_view, "report_html", refuse)
-    session = Session(JOINT)
-    with pytest.raises(asyncio.CancelledError):
-        asyncio.run(session.files.view.select(FileDownload)[0].callback())
-    assert "a wall of 3 N m/rad" in session.files.message.object

@@ -1,0 +1,70 @@
+"""What the tabs say has the words and units of the axis: nothing is left to translate."""
+
+import pytest
+
+from emps_design.axis import Axis
+from emps_design.machines import machine
+from emps_design.progress import no_progress
+from emps_design.simulation.synthetic import synthetic_record
+from emps_design.studio.data_view import identify_work, observe_work
+from emps_design.studio.design_view import laws_table, numbers_table, verdict_message
+from emps_design.studio.files_view import velocity_design
+from emps_design.studio.motion_view import move
+from emps_design.studio.simulation_view import simulate
+from emps_design.studio.state import State, differences_in_words
+
+PD = {"kind": "position_pd", "kp": 22.0, "kv": 7.6}
+JOINT = {
+    "name": "joint",
+    "motion": "rotary",
+    "mechanics": {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2, "offset": 0.4},
+    "drive": {"command": "current", "force_gain": 9.2, "command_limit": 10.3, "current_time_constant": 1e-3},
+    "sampling": {"period": 1e-3, "encoder_resolution": 3e-6},
+    "controller": PD,
+}
+PERCENT = {"command": "torque", "command_unit": "%", "force_gain": 15.08, "command_limit": 145.0}
+AXES = {
+    "linear, V": machine("emps2018").replace(controller=PD),
+    "rotary, V": Axis.from_dict({**JOINT, "drive": JOINT["drive"] | {"command": "voltage"}}),
+    "rotary, A": Axis.from_dict(JOINT),
+    "linear, %": machine("emps2018").replace(drive=PERCENT, controller=PD | {"kv": 400.0}),
+}
+
+
+@pytest.fixture(params=AXES)
+def axis(request):
+    """An axis of each kind."""
+    return AXES[request.param]
+
+
+def changed(axis, *texts) -> list[str]:
+    """The ``texts`` that a translation would change."""
+    return [text for text in texts if axis.units.text(text) != text]
+
+
+def test_the_design_tab(axis):
+    state = State.of(axis)
+    design = velocity_design(state)
+    lighter = axis.replace(name="other", sampling={"period": 5e-4})
+    carried = differences_in_words(state.changed(k_e1=2.0 * state.k_e1), State.of(axis).with_axis(lighter))
+    assert "k_e1" in carried
+    texts = numbers_table(state, design, design), laws_table(state, design), verdict_message(design), carried
+    assert changed(axis, *texts) == []
+
+
+def test_the_motion_tab(axis):
+    found = move(State.of(axis), None, None, no_progress)
+    assert changed(axis, found.verdict()[1], *(cell for row in found.rows() for cell in row)) == []
+
+
+def test_the_simulation_tab(axis):
+    found = simulate(State.of(axis).changed(plants=0))
+    rows = [text for row in found.rows() for text in row]
+    assert changed(axis, found.verdict()[1], *rows, *found.captions().values()) == []
+
+
+def test_the_data_tab(axis):
+    record = synthetic_record(axis, laps=1, stroke=0.1)
+    choices = {"friction": "symmetric", "chain": "hold", "held_out": record}
+    for outcome in (identify_work(record, axis, choices, no_progress), observe_work(record, axis, {}, no_progress)):
+        assert changed(axis, outcome["text"], outcome["advice"].text) == []
