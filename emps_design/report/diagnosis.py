@@ -106,7 +106,12 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         return [_row("velocity loop", None, None, units.text(str(error)))]
     specification = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
     rows = [
-        _row(name, *(quantity(getattr(design, name), unit, 4, units) for design in (old, new)), specification)
+        _row(
+            name,
+            quantity(getattr(old, name), unit, 4, units),
+            quantity(getattr(new, name), unit, 4, units),
+            specification,
+        )
         for name, unit in (("k_v1", "V/(m/s)"), ("t_v", "s"))
     ]
     if not really.stable:

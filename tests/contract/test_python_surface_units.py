@@ -176,20 +176,8 @@ REFUSED = {
 
 # Cases whose room still makes sentences of a linear axis, and that room.
 LINEAR_YET = {
-    "force loop": "control",
-    "force loop, unstable": "control",
-    "force loop with a delay": "control",
-    "force gain of -1": "control",
-    "force gain of 1e9": "control",
-    "hand of -1": "control",
-    "environment of -1": "control",
-    "apparent mass of -1": "control",
-    "apparent damping of -1": "control",
-    "stiffness of -1": "control",
     "identified": "identification",
     "identified by output error": "identification",
-    "observed": "identification",
-    "replayed": "simulation",
     "no motion": "records",
     "pushed by hand": "identification",
 }
@@ -241,7 +229,6 @@ def test_refusals(bench, name):
     assert untranslated(bench.axis, [str(refused.value)]) == []
 
 
-@pytest.mark.xfail(strict=True, reason="the room comanipulation makes it for a linear axis")
 @pytest.mark.parametrize("bench", ["rotary, A"], indirect=True)
 def test_impedance(bench):
     assert untranslated(bench.axis, said(assess_impedance(bench.axis, 50.0, 100.0, mismatch=0.02, plants=2))) == []
