@@ -36,7 +36,7 @@ from emps_design.studio.app import Session
 from emps_design.studio.data_view import CLOSEST_MODEL, LIMIT_MB, DataView, observe_work, read_upload
 from emps_design.studio.design_view import DesignView
 from emps_design.studio.files_view import figures_zip, report_html
-from emps_design.studio.motion_view import DESIGN, OWN
+from emps_design.studio.motion_view import COMPENSATION_DESIGN, COMPENSATION_OWN
 from emps_design.studio.panes import Job
 from emps_design.studio.plots import KINDS, LoopPlots, PlanePlot, feasible, plane, reachable_frequencies
 from emps_design.studio.simulation_view import simulate
@@ -700,7 +700,7 @@ def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(
         assert view.motion_runs is None, name
         assert view.picture.object == view.message.object == ""
         view._start()
-    assert view.motion_runs.loop.axis(velocity=1.0).controller == view.found.runs["this design"].axis.controller
+    assert view.motion_runs.loop.axis(velocity=1.0).controller == view.motion_runs.runs["this design"].axis.controller
     assert view.motion_runs.runs["this design"].axis.controller.velocity["form"] == "ip"
     session.design.machine.value = "emps2018"  # has no controller
     assert view.motion_runs is None
@@ -771,9 +771,9 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     assert view.terms.value == ["inertia", "viscous", "coulomb", "constant", "position_ripple"]
     assert "backlash is not compensated" in view.not_compensated.object
     assert view.download.disabled
-    view.controller.value = OWN
+    view.controller.value = COMPENSATION_OWN
     view._start()
-    found, best = view.compensation, view.found.achieved
+    found, best = view.compensation, view.compensation.achieved
     assert "position_ripple" in found.feedforward.terms
     assert f"{found.without:.3g} m without, {best:.3g} with" in view.message.object
     assert "keep kv below" in view.message.object
@@ -790,12 +790,12 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     assert view.compensation is None
     assert view.download.disabled
     view._start()
-    assert best < view.compensation.achieved < view.found.without
+    assert best < view.compensation.achieved < view.compensation.without
     session.design.machine.value = "emps2018"  # has no controller: the design's is taken
     assert view.compensation is None
     assert "position_ripple" not in view.terms.value
     view._start()
-    assert view.controller.options == [DESIGN]
+    assert view.controller.options == [COMPENSATION_DESIGN]
     assert view.compensation.axis.controller == files_view.designed(session.state).controller
     session.design.turn("frequency", 80.0)
     assert view.compensation is None
