@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -30,7 +30,7 @@ from emps_design.effects.two_mass import linear_coupling
 from emps_design.errors import InputError
 from emps_design.frequency_response.response import BAND, FrequencyResponse, resonances, turning_delay
 from emps_design.stretches import stretches
-from emps_design.units import Units
+from emps_design.units import LINEAR, Units
 from emps_design.view import Table
 
 MISSED = 5.0  # deviations of misfit above which a chain does not describe the response
@@ -70,6 +70,7 @@ class MassChain:
     covariance: np.ndarray
     misfit: float
     criterion: tuple[float, ...] = ()
+    units: Units = field(default=LINEAR, repr=False)
 
     @cached_property
     def theta(self) -> np.ndarray:
@@ -84,7 +85,8 @@ class MassChain:
     @property
     def label(self) -> str:
         """The number of masses in words."""
-        return ("one mass", "two masses", "three masses")[self.masses.size - 1]
+        count = self.masses.size
+        return f"{('one', 'two', 'three')[count - 1]} {self.units.word('mass' if count == 1 else 'masses')}"
 
     @property
     def effect(self) -> dict[str, Any] | None:
@@ -161,7 +163,11 @@ class MassChain:
                 "values and intervals say nothing"
             )
         values = self.parameters
-        for name, what in (("viscous", "friction that falls with speed"), ("delay", "a force before its command")):
+        causes = {
+            "viscous": "friction that falls with speed",
+            "delay": f"a {self.units.word('force')} before its command",
+        }
+        for name, what in causes.items():
             value, std, _ = values[name]
             if value < -CERTAINLY * std:
                 words.append(
@@ -170,15 +176,16 @@ class MassChain:
                 )
         return tuple(words)
 
-    def table(self, units: Units) -> Table:
-        """The parameters with their deviations, in ``units``."""
+    def table(self) -> Table:
+        """The parameters with their deviations."""
+        units = self.units
         rows = [
             (units.words(name.replace("_", " ")), f"{value:.5g}", f"{std:.2g}", units.unit(of))
             if self.determines(name)
             else (units.words(name.replace("_", " ")), "not determined", "", "")
             for name, (value, std, of) in self.parameters.items()
         ]
-        title = f"Fitted, {units.words(self.label)}; residuals {self.misfit:.2g} deviations"
+        title = f"Fitted, {self.label}; residuals {self.misfit:.2g} deviations"
         return Table(("", "value", "std", "unit"), rows, title)
 
     def to_dict(self) -> dict[str, Any]:
@@ -187,7 +194,8 @@ class MassChain:
             "masses": self.masses.size,
             "effect": self.effect,
             "parameters": {
-                name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in self.parameters.items()
+                name: {"value": value, "std": std, "unit": self.units.unit(unit)}
+                for name, (value, std, unit) in self.parameters.items()
             },
             "misfit": self.misfit,
             "criterion": list(self.criterion),
@@ -231,8 +239,8 @@ def natural(theta: np.ndarray, n: int, held: int) -> np.ndarray:
     return np.sqrt(np.maximum(squares[1 - held :], 0.0)) / (2.0 * np.pi)
 
 
-def fit_chain(response: FrequencyResponse, most: int = MOST) -> MassChain:
-    """Return the chain of one up to ``most`` masses that describes ``response`` best.
+def fit_chain(response: FrequencyResponse, most: int = MOST, units: Units = LINEAR) -> MassChain:
+    """Return the chain of one up to ``most`` masses that describes ``response`` best, in the words of ``units``.
 
     Raises :class:`InputError` for fewer lines than parameters.
 
@@ -246,7 +254,9 @@ def fit_chain(response: FrequencyResponse, most: int = MOST) -> MassChain:
     mass = np.array([1.0 / np.median(response.w * response.magnitude)])
     candidate = _best_fit(response, [(mass, (), ())], turning_delay(response))
     if candidate is None:
-        raise InputError(f"{response.name}: found {len(response)} lines, expected more than a mass has parameters")
+        raise InputError(
+            f"{response.name}: found {len(response)} lines, expected more than a {units.word('mass')} has parameters"
+        )
     best, criterion = candidate, [_criterion(candidate, len(response))]
     lowest = criterion[0]
     for _ in range(1, most):  # a second mass may show only together with a third: each number is tried
@@ -256,7 +266,7 @@ def fit_chain(response: FrequencyResponse, most: int = MOST) -> MassChain:
         criterion.append(_criterion(candidate, len(response)))
         if criterion[-1] < lowest - CLEARLY and _certain(candidate, response):
             best, lowest = candidate, criterion[-1]
-    return replace(best, criterion=tuple(criterion))
+    return replace(best, criterion=tuple(criterion), units=units)
 
 
 def _starts(chain: MassChain, response: FrequencyResponse) -> list[tuple[np.ndarray, Any, Any]]:
@@ -461,7 +471,7 @@ class ResponseComparison:
     @cached_property
     def chain(self) -> MassChain:
         """The masses, springs and dampers that fit the response."""
-        return fit_chain(self.response)
+        return fit_chain(self.response, units=self.axis.units)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""

@@ -38,6 +38,7 @@ from emps_design.observer import back_emf_compensation, motor_share
 from emps_design.progress import Progress, no_progress
 from emps_design.records import Record
 from emps_design.records.clock import same_period
+from emps_design.units import Units
 from emps_design.view import Line, Table, View, Viewed
 
 AROUND = 20  # lines on either side, whose usual difference counts
@@ -169,7 +170,7 @@ class ResponseEstimate(Viewed):
 
     def view(self) -> View:
         """The method, some lines of the response, its resonances, the masses that fit it, and its distortion."""
-        units, response, comparison = self.axis.units, self.response, self.comparison
+        response, comparison = self.response, self.comparison
         passes = f"{self.passes} pass{'' if self.passes == 1 else 'es'}"
         return (
             Line(
@@ -183,8 +184,8 @@ class ResponseEstimate(Viewed):
                 Line(f"{found.kind} at {found.frequency:.2f} +- {found.std:.2f} Hz, damping {found.damping:.3f}")
                 for found in self.resonances
             ),
-            comparison.chain.table(units),
-            Line(f"{self.axis.name}: {units.text(comparison.agreement.sentence)}", "prose"),
+            comparison.chain.table(),
+            Line(f"{self.axis.name}: {comparison.agreement.sentence}", "prose"),
             *self._distortion(),
             Line("ratio of spectra: velocity over command, which ignores feedback; for comparison only", "prose"),
         )
@@ -388,7 +389,7 @@ def _estimate(
         axis,
         (
             *(text for record in records for text in (*record.contradictions, *record.gaps_in_words)),
-            *_words(response, extra, reversals, rest, seconds, left_out),
+            *_words(response, extra, reversals, rest, seconds, left_out, axis.units),
         ),
     )
 
@@ -423,20 +424,26 @@ def _for_few(freedom: float) -> float:
 
 
 def _words(
-    response: FrequencyResponse, extra: Extra, reversals: int, rest: float, seconds: float, left_out: int
+    response: FrequencyResponse,
+    extra: Extra,
+    reversals: int,
+    rest: float,
+    seconds: float,
+    left_out: int,
+    units: Units,
 ) -> list[str]:
     """Warnings about the response and the motion of its records."""
-    words = []
+    words, carriage = [], units.word("carriage")
     if has_wrong_sign(response):
         words.append(
             f"the command has the wrong sign: at {response.frequency[0]:.3g} Hz the phase of the response is "
-            f"{response.phase_deg[0]:.0f} deg, expected between -90 (a mass) and 0 (a friction)"
+            f"{response.phase_deg[0]:.0f} deg, expected between -90 (a {units.word('mass')}) and 0 (a friction)"
         )
     if reversals > extra.passes or rest > RESTING:
         words.append(
-            f"the carriage reverses {reversals} times in {seconds:.3g} s and rests {100 * rest:.2g} % of it: dry "
+            f"the {carriage} reverses {reversals} times in {seconds:.3g} s and rests {100 * rest:.2g} % of it: dry "
             "friction biases the response, most at low frequencies, and no deviation shows it; excite it on a running "
-            "carriage"
+            f"{carriage}"
         )
     if extra.scatter > 2.0:
         words.append(
@@ -446,7 +453,7 @@ def _words(
     if extra.steps > REPEATED:
         words.append(
             f"the encoder's steps repeat with the excitation, {extra.steps:.2g} times as much as by chance, and the "
-            "deviations are raised for it: the carriage runs whole steps, or a simple share of one, in each period; "
+            f"deviations are raised for it: the {carriage} runs whole steps, or a simple share of one, in each period; "
             "excite it at a slightly different speed"
         )
     if extra.distortion is not None:

@@ -42,6 +42,7 @@ from emps_design.laws.estimators import estimator_response
 from emps_design.records.layout import LONGEST
 from emps_design.request import takes
 from emps_design.simulation import Plant
+from emps_design.units import LINEAR, Units
 from emps_design.view import Line, Table, View, Viewed
 
 ROOM = 0.9  # share of a limit that is used
@@ -55,6 +56,7 @@ STEEPEST = 10.0  # largest excitation over command: below the crossover the cont
 SLOWER = 0.5  # largest relative reduction of the speed that keeps the encoder's steps from repeating
 TRIED = 2000  # speeds
 SHOWN = 10  # lines of the table that a reader sees
+UNITS = {"speed": "m/s", "velocity": "m/s", "command": "V", "position": "m", "jerk": "m/s^3"}  # of the peaks
 PERIODS = (2, 4, 8, 16, 32)  # over which the steps are not to repeat
 NOISE_SHARE = 0.02  # of the Coulomb friction, rms of white force noise where none is given
 
@@ -69,7 +71,9 @@ class Limits:
     jerk: float | None = None
 
 
-def check_request(limits: Limits, request: ExcitationRequest, high: float, nyquist: float) -> None:
+def check_request(
+    limits: Limits, request: ExcitationRequest, high: float, nyquist: float, units: Units = LINEAR
+) -> None:
     """Raise :class:`InputError` for an invalid band up to ``high`` [Hz], resolution, number of steps, speed or limit.
 
     >>> check_request(Limits(0.5, force=float("nan")), ExcitationRequest(0.05), 100.0, 500.0)
@@ -86,13 +90,14 @@ def check_request(limits: Limits, request: ExcitationRequest, high: float, nyqui
         raise InputError(f"resolution: found {resolution:g} Hz, expected more than 0 and several lines in the band")
     if steps is not None and steps < GROUP:
         raise InputError(f"steps: found {steps}, expected at least {GROUP} lines")
-    bounds = {limit.name if limit.name == "stroke" else f"{limit.name} limit": getattr(limits, limit.name)
+    bounds = {limit.name if limit.name == "stroke" else f"{units.word(limit.name)} limit": getattr(limits, limit.name)
               for limit in fields(limits)}  # fmt: skip
     for name, value in {"speed": speed, **bounds}.items():
         if value is not None and not 0.0 < value < math.inf:
             raise InputError(f"{name}: found {value:g}, expected a positive number")
     if limits.speed is not None and speed >= ROOM * limits.speed:
-        raise InputError(f"speed: found passes at {speed:g} m/s, expected less than the limit of {limits.speed:g} m/s")
+        found, limit = (units.quantity(number, "m/s", "g") for number in (speed, limits.speed))
+        raise InputError(f"speed: found passes at {found}, expected less than the limit of {limit}")
 
 
 def check_length(samples: float, period: float) -> None:
@@ -264,7 +269,7 @@ class Experiment(Viewed):
                 f"passes at {self.speed:.5g} {speed} (asked: {self.requested_speed:.5g}), speed "
                 f"{peaks['slowest']:.4g} to {peaks['velocity']:.4g} {speed}, command at most {peaks['command']:.4g} "
                 f"{command}, travel {peaks['stroke']:.4g} {travel}; the amplitude is bound by the "
-                f"{units.words(self.bound_by)}",
+                f"{self.bound_by}",
                 "prose",
             ),
             Table(
@@ -292,7 +297,7 @@ class Experiment(Viewed):
             "assumed_force_noise": self.noise,
             "peaks": self.peaks,
             "bound_by": self.bound_by,
-            "units": {"speed": "m/s", "velocity": "m/s", "command": "V", "position": "m", "jerk": "m/s^3"},
+            "units": {name: self.axis.units.unit(base) for name, base in UNITS.items()},
             "warnings": list(self.warnings),
         }
 
@@ -313,7 +318,7 @@ def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) ->
     period = axis.sampling.period
     nyquist = 0.5 / period
     low, high = request.low, HIGHEST_SHARE * nyquist if request.high is None else request.high
-    check_request(limits, request, high, nyquist)
+    check_request(limits, request, high, nyquist, axis.units)
     samples = round(1.0 / (request.resolution * period))
     settle = round(max(0.2, 2.0 / low) / period)
     wave: Wave
@@ -333,10 +338,11 @@ def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) ->
     flat = int((limits.stroke * ROOM - speed * ramp) / speed / period - settle)
     if flat < wave.shortest:
         needed = (wave.shortest + settle + 2) * period * speed + speed * ramp
+        quantity = axis.units.quantity
         raise InputError(
-            f"stroke: found {limits.stroke:g} m, where a pass at {speed:.4g} m/s can be excited for "
-            f"{max(flat, 0) * period:.3g} s, expected at least {wave.shortest * period:.4g} s: {needed / ROOM:.3g} m, "
-            "a lower speed, or a coarser resolution"
+            f"stroke: found {quantity(limits.stroke, 'm', 'g')}, where a pass at {quantity(speed, 'm/s')} can be "
+            f"excited for {max(flat, 0) * period:.3g} s, expected at least {wave.shortest * period:.4g} s: "
+            f"{quantity(needed / ROOM, 'm', '.3g')}, a lower speed, or a coarser resolution"
         )
     check_length(wave.length(flat, request.passes) * (1.0 + 2.0 * (ramp / period + settle) / flat), period)
     f = wave.cycles / period
@@ -404,12 +410,13 @@ def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: di
     if limits.speed is not None:
         rooms["speed limit"] = (ROOM * limits.speed - speed) / unit["velocity"]
     if limits.force is not None:
-        rooms["force limit"] = (ROOM * limits.force / gain - steady) / unit["command"]
+        rooms[f"{axis.units.word('force')} limit"] = (ROOM * limits.force / gain - steady) / unit["command"]
     if limits.jerk is not None:
         rooms["jerk limit"] = ROOM * limits.jerk / unit["jerk"]
     bound_by = min(rooms, key=lambda name: rooms[name])
     if not rooms[bound_by] > 0.0:
-        raise InputError(f"{bound_by}: steady motion at {speed:.4g} m/s leaves no room for an excitation, go slower")
+        steadily = axis.units.quantity(speed, "m/s")
+        raise InputError(f"{bound_by}: steady motion at {steadily} leaves no room for an excitation, go slower")
     return rooms[bound_by], bound_by
 
 
@@ -428,7 +435,9 @@ def _bounds(axis: Axis, limits: Limits) -> list[Bound]:
     if limits.speed is not None:
         bounds.append(Bound("speed limit", limits.speed, lambda reached: reached.velocity, unit("m/s")))
     if limits.force is not None:
-        bounds.append(Bound("force limit", limits.force, lambda reached: gain * reached.command, unit("N")))
+        bounds.append(
+            Bound(f"{axis.units.word('force')} limit", limits.force, lambda reached: gain * reached.command, unit("N"))
+        )
     return bounds
 
 

@@ -56,6 +56,7 @@ from emps_design.laws.estimators import estimator_response
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import LinearLaw, linear_law
 from emps_design.request import Request, option, takes
+from emps_design.units import Units
 
 MOST = 32  # samples after which a law repeats
 TURNS = 40
@@ -327,7 +328,7 @@ def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS
             (min(low for low, _ in both), max(high for _, high in both)) if drawn and stable[0] and both else None
         )
     share = float(np.mean(stable[1:]))
-    words = _words(response, bool(stable[0]), share, values, np.abs(ends[0][1]), ends[0][0])
+    words = _words(response, bool(stable[0]), share, values, np.abs(ends[0][1]), ends[0][0], axis.units)
     return MeasuredMargins(response.name, bool(stable[0]), values, bands, share, first, tuple(words))
 
 
@@ -416,6 +417,7 @@ def _words(
     values: dict[str, float | None],
     size: np.ndarray,
     grid: np.ndarray,
+    units: Units,
 ) -> list[str]:
     """Warnings: an unstable loop, and margins beyond the data."""
     words = list(response.warnings)
@@ -438,7 +440,8 @@ def _words(
     at = values["gain_margin_frequency"]
     if at is not None and not low <= at <= high:
         words.append(
-            f"{response.name}: the gain margin lies at {at / (2 * math.pi):.4g} Hz, beyond the data, on their mass line"
+            f"{response.name}: the gain margin lies at {at / (2 * math.pi):.4g} Hz, beyond the data, on their "
+            f"{units.word('mass')} line"
         )
     return words
 
@@ -577,4 +580,4 @@ def suggest_filter_on_response(
         side["measured"] = {"stable": on_data.stable, **{key: on_data.values[key] for key in MARGINS}}
     if suggestion["filter"] is not None and not suggestion["with"]["measured"]["stable"]:
         suggestion |= {"filter": None, "with_equal_margins": None, "with": None}
-    return {**suggestion, "model": f"the masses that fit {response.name}"}
+    return {**suggestion, "model": f"the {axis.units.word('masses')} that fit {response.name}"}
