@@ -145,4 +145,4 @@ def _law(request: InitRequest, export: Trace) -> LawEstimate | None:
     if export.record is None or export.guessed:
         return None
     request.progress(LOOKING, 0.0)
-    return identify_law(export.record, export.units.command_unit)
+    return identify_law(export.record, export.units)

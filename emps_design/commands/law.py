@@ -50,9 +50,9 @@ def answer(request: LawRequest) -> Reply:
 
     request.progress(LOOKING, 0.0)
     units = request.axis.units
-    estimate = identify_law(request.records, units.command_unit)
+    estimate = identify_law(request.records, units)
     if request.out is not None:
         if estimate.controller is None:
             raise InputError(f"{estimate.record}: {estimate.reason}; {request.out} is not written")
         write_text(request.out, estimate.to_toml())
-    return Reply(estimate.to_dict(), law_view(estimate, units), units, warnings=estimate.warnings)
+    return Reply(estimate.to_dict(), law_view(estimate), units, warnings=estimate.warnings)

@@ -37,7 +37,7 @@ from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError, RecordError
 from emps_design.identification.excitation import backward_time, one_direction
-from emps_design.identification.model import LUMPED
+from emps_design.identification.model import lumped
 from emps_design.laws import get_law, law_of, recorded_gains, unit_of
 from emps_design.records import Record
 from emps_design.records.clock import same_period
@@ -183,7 +183,7 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
                 return f"{text}; {fitting} fit it, correct the axis file"
     from emps_design.identification.controller import TOLD, identify_law
 
-    identified = identify_law(record, axis.drive.command_unit)
+    identified = identify_law(record, axis.units)
     if identified.verdict == TOLD:
         return f"{text}; {identified.in_words} does and leaves {identified.residual_rms:.3g}, correct the axis file"
     return f'{text}; give the controller that made this record, or kind = "none"'
@@ -480,7 +480,7 @@ def prepare(
         direction = 0
     elif direction:
         held = (OFFSET,)
-        warnings.append(LUMPED)
+        warnings.append(lumped(axis.units))
     start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
     return Preparation(records, start, plant, laws, held_out, confirming, tuple(warnings), direction)

@@ -27,6 +27,7 @@ from emps_design.identification.problem import Regression
 from emps_design.identification.proposals import unexplained
 from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run, residual_bootstrap
+from emps_design.units import Units
 
 FACTORS = (0.5, 2.0)
 HIGHEST = 0.4  # of the sampling frequency, for a cut-off that is tried
@@ -38,7 +39,7 @@ FAR = {"mass": 3.0, "viscous": 10.0, "coulomb": 10.0}  # times the axis's value,
 DECADES = 0.15  # decades by which a power of ten may be missed
 # Effect of a wrong unit of a column on mass, viscous and Coulomb friction: exponents of its factor.
 UNITS = {
-    "u (or the force gain)": (1, 1, 1),
+    "u (or the {force} gain)": (1, 1, 1),
     "q (and q_ref)": (-1, -1, 0),
     "t": (2, 1, 0),
 }
@@ -145,21 +146,25 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
     identified = {name: value for name in SOUGHT if (value := _mean(values, name)) is not None}
     negative = [name for name, value in identified.items() if value < 0]
     if negative:
-        listed = ", ".join(_with_unit(name, identified[name]) for name in negative)
+        listed = ", ".join(_with_unit(name, identified[name], axis.units) for name in negative)
         return [f"no axis has {listed}: {_why_negative(identified, negative)}"]
     own = {name: float(getattr(axis.mechanics, name)) for name in identified}
     shares = {name: value / own[name] for name, value in identified.items() if own[name] > 0 and value > 0}
     far = [name for name, share in shares.items() if not 1.0 / FAR[name] < share < FAR[name]]
     if not far:
         return []
-    beside = ", ".join(f"{_with_unit(name, identified[name])} where {axis.name} says {own[name]:.4g}" for name in far)
-    unit = _unit(shares)
+    beside = ", ".join(
+        f"{_with_unit(name, identified[name], axis.units)} where {axis.name} says {own[name]:.4g}" for name in far
+    )
+    unit, force = _unit(shares), axis.units.word("force")
     if unit is None:
-        why = "another machine or payload, a wrong force gain, or a wrong unit: look at force_gain and the columns"
+        why = f"another machine or payload, a wrong {force} gain, or a wrong unit: look at force_gain and the columns"
     else:
         column, factor = unit
         size = f"{factor:g} times too large" if factor > 1 else f"{1 / factor:g} times too small"
-        why = f"this is what {column} in another unit gives, {size}: look at the unit of that column"
+        why = (
+            f"this is what {column.format(force=force)} in another unit gives, {size}: look at the unit of that column"
+        )
     return [f"far from the axis: {beside}; {why}"]
 
 
@@ -191,10 +196,10 @@ def _unit(shares: Mapping[str, float]) -> tuple[str, float] | None:
     return None
 
 
-def _with_unit(name: str, value: float) -> str:
-    word = {"mass": "mass", "viscous": "viscous friction", "coulomb": "Coulomb friction"}[name]
+def _with_unit(name: str, value: float, units: Units) -> str:
+    word = {"mass": units.word("mass"), "viscous": "viscous friction", "coulomb": "Coulomb friction"}[name]
     unit = {"mass": "kg", "viscous": "N/(m/s)", "coulomb": "N"}[name]
-    return f"{word} {value:.4g} {unit}"
+    return f"{word} {units.quantity(value, unit)}"
 
 
 @dataclass(frozen=True)
@@ -273,11 +278,13 @@ def assemble(
                 "than the motor made the motion (a hand, another drive); record motion that the motor makes"
             )
         if why:
-            warnings.append(f"{quantity.name} is not determined: {why}")
+            warnings.append(f"{axis.units.word(quantity.name)} is not determined: {why}")
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=share)
             continue
         if half > abs(value) and quantity.name not in MAY_BE_ZERO:
-            warnings.append(f"{quantity.name}: its 95 % interval reaches zero; the record hardly determines it")
+            warnings.append(
+                f"{axis.units.word(quantity.name)}: its 95 % interval reaches zero; the record hardly determines it"
+            )
         estimates[quantity.name] = Estimate(
             quantity=quantity,
             value=value,
@@ -300,7 +307,7 @@ def assemble(
         fitted=problem.model,
         estimator=estimator,
         chain=filtered.chain,
-        filter_text=filtered.text,
+        filter_text=axis.units.words(filtered.text),
         cutoff_hz=filtered.cutoff_hz,
         parameters=estimates,
         rms_error=fit.rms_error,
@@ -309,7 +316,7 @@ def assemble(
         samples=int(filtered.used.sum()),
         residual=spread,
         hac_lag=lag * filtered.period,
-        warnings=(*warnings, *structure.warnings()),
+        warnings=(*warnings, *structure.warnings(axis.units)),
         axis=axis,
         period=record.period,
         series={

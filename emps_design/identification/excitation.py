@@ -28,22 +28,23 @@ def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_w
     as in (21).
     """
     stroke = float(np.ptp(record.q))
-    step = axis.sampling.encoder_resolution
+    step, units = axis.sampling.encoder_resolution, axis.units
     if stroke < max(SMALLEST_STROKE, SMALLEST_STEPS * step):
         raise RecordError(
-            f"{record.name}: no motion, the stroke is {stroke:.3g} m; record a trajectory that accelerates, runs at "
-            "several constant speeds and reverses"
+            f"{record.name}: no motion, the stroke is {units.quantity(stroke, 'm', '.3g')}; record a trajectory that "
+            "accelerates, runs at several constant speeds and reverses"
         )
     saturated = float(np.mean(np.abs(record.u) >= 0.999 * axis.drive.command_limit))
     if saturated > LARGEST_SATURATED_SHARE:
         raise RecordError(
-            f"{record.name}: u is at the limit of {axis.drive.command_limit:g} V for {100 * saturated:.0f} % of the "
-            f"time, expected at most {100 * LARGEST_SATURATED_SHARE:.0f} %; record slower motion with less acceleration"
+            f"{record.name}: u is at the limit of {units.quantity(axis.drive.command_limit, 'V', 'g')} for "
+            f"{100 * saturated:.0f} % of the time, expected at most {100 * LARGEST_SATURATED_SHARE:.0f} %; record "
+            "slower motion with less acceleration"
         )
     if not one_way and goes_one_way(record):
         raise RecordError(
-            f"{record.name}: no reversal, the carriage moves one way only, so Coulomb friction and a constant force "
-            "are one; record motion in both directions"
+            f"{record.name}: no reversal, the {units.word('carriage')} moves one way only, so Coulomb friction and a "
+            f"constant {units.word('force')} are one; record motion in both directions"
         )
     return force_free(record, axis, external_force)
 
@@ -55,15 +56,18 @@ def force_free(record: Record, axis: Axis, external_force: str = REFUSE) -> Reco
     """
     if record.f_ext is None or external_force == KNOWN:
         return record
+    units = axis.units
     rms, motor = (float(np.sqrt(np.mean(x**2))) for x in (record.f_ext, axis.drive.gain * record.u))
     if rms > SENSOR_NOISE * motor:
         raise RecordError(
-            f"{record.name}: an external force of {rms:.3g} N rms acts, and (12) holds without one; record without "
-            "touching the carriage, or let the measured force take part with `external_force='known'`"
+            f"{record.name}: an external {units.word('force')} of {units.quantity(rms, 'N', '.3g')} rms acts, and (12) "
+            f"holds without one; record without touching the {units.word('carriage')}, or let the measured "
+            f"{units.word('force')} take part with `external_force='known'`"
         )
     if rms == 0.0:
         return replace(record, f_ext=None)
-    note = f"f_ext: its {rms:.2g} N rms are taken for sensor noise and left out (`external_force='known'` uses it)"
+    size = units.quantity(rms, "N", ".2g")
+    note = f"f_ext: its {size} rms are taken for sensor noise and left out (`external_force='known'` uses it)"
     return replace(record, f_ext=None, warnings=(*record.warnings, note))
 
 

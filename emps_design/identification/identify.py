@@ -39,7 +39,7 @@ from emps_design.identification.inverse_model import (
     least_squares,
     relative_error,
 )
-from emps_design.identification.model import LUMP, LUMPED, ONE_WAY, Model
+from emps_design.identification.model import LUMP, ONE_WAY, Model, lumped
 from emps_design.identification.problem import Regression, acting, known_part, notes
 from emps_design.identification.proposals import proposed_for, proposed_terms
 from emps_design.identification.result import (
@@ -81,7 +81,7 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Identificatio
     extra: dict[str, Any] = {
         "held_out": _held_out(problem, fit, request),
         "cutoff_from_data": explained_by_frequency(
-            acting(record, axis), chosen, replace(problem.model, friction="symmetric")
+            acting(record, axis), chosen, replace(problem.model, friction="symmetric"), axis.units
         ),
     }
     if hold:
@@ -105,13 +105,14 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Identificatio
 def _one_way(identification: Identification, model: str) -> Identification:
     """``identification`` with the parameters of ``model`` that motion one way cannot separate, as not determined."""
     whole, estimates = replace(identification.fitted, friction=model), dict(identification.parameters)
+    units = identification.axis.units
     for written in whole.quantities:
         if written.name not in estimates:
-            units = identification.axis.units
             quantity = replace(written, unit=units.unit(written.unit), text=units.words(written.text))
             estimates[written.name] = Estimate(quantity, None, None)
     parameters = {name: estimates[name] for name in (*whole.names, LUMP.name)}
-    return replace(identification, fitted=whole, parameters=parameters, warnings=(*identification.warnings, LUMPED))
+    warnings = (*identification.warnings, lumped(units))
+    return replace(identification, fitted=whole, parameters=parameters, warnings=warnings)
 
 
 def _encoder_error(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
@@ -356,8 +357,8 @@ def _output_error_for_hidden(
     if not sure or any(ends[name][0] > high or ends[name][1] < low for name, (low, high) in others.items()):
         return None
     remark = (
-        f"{', '.join(hidden)}: by output error, for the measured motion is noise there, and least squares and "
-        "instruments do not determine it"
+        f"{', '.join(map(axis.units.word, hidden))}: by output error, for the measured motion is noise there, and "
+        "least squares and instruments do not determine it"
     )
     extra = by_output_error.extra | {"hausman_test": instrumental.extra["hausman_test"]}
     return replace(by_output_error, extra=extra, warnings=(*by_output_error.warnings, remark))
@@ -371,9 +372,10 @@ def _hidden_by_noise(estimate: Estimate, weakest: float) -> bool:
 def _weak_column_warnings(instrumental: Identification) -> list[str]:
     """Warnings for parameters that only instruments determine: their error may exceed their interval."""
     shares = {name: estimate.reliability for name, estimate in instrumental.parameters.items() if estimate.determined}
+    word = instrumental.axis.units.word
     return [
-        f"{name}: the reference explains {100.0 * share:.2g} % of its column, least squares would not determine it; "
-        "compare output error (oe), or record more acceleration"
+        f"{word(name)}: the reference explains {100.0 * share:.2g} % of its column, least squares would not determine "
+        "it; compare output error (oe), or record more acceleration"
         for name, share in shares.items()
         if share is not None and share < WEAK_RELIABILITY
     ]

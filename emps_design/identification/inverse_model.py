@@ -37,6 +37,7 @@ from emps_design.identification.filters import (
 )
 from emps_design.identification.model import Model
 from emps_design.records import Record
+from emps_design.units import LINEAR, Units
 
 FEWEST_STEPS = 100  # away from rest, for statistics that leave rest out
 
@@ -53,11 +54,11 @@ QUIET, NOISY = 0.01, 0.03  # of the mass: bias by noise at the reference cut-off
 CHANCE = 0.5  # of the mass's deviation, up to which noise does not matter
 FEWEST_INDEPENDENT = 80  # rows away from rest, two in a period of the cut-off
 LONGEST = 120_000  # samples of a record that the choice looks at
-RULE = (
+RULE = (  # {mass}: the word of the axis
     f"lowest cut-off with {100 * ENOUGH[0]:.0f} % of the rows that are not slow and {100 * ENOUGH[1]:.0f} % of the "
     f"acceleration's power away from rest, or, where the encoder is noisier than {100 * NOISE:g} % of that power, "
     f"down to {100 * LEAST[0]:.0f} % and {100 * LEAST[1]:.0f} %; lower where noise would take more than "
-    f"{100 * NOISY:g} % of the mass away"
+    f"{100 * NOISY:g} % of the {{mass}} away"
 )
 
 
@@ -164,8 +165,10 @@ class LeastSquares:
         return np.sqrt(np.diag(self.covariance))
 
 
-def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np.ndarray | None = None) -> LeastSquares:
-    """Solve (17) by least squares; :class:`RankError` names linearly dependent columns.
+def least_squares(
+    W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np.ndarray | None = None, units: Units = LINEAR
+) -> LeastSquares:
+    """Solve (17) by least squares; :class:`RankError` names linearly dependent columns, in the words of ``units``.
 
     ``used`` (n,) marks the rows that count; the others are zero.
 
@@ -178,7 +181,7 @@ def least_squares(W: np.ndarray, Y: np.ndarray, names: tuple[str, ...], used: np
         raise InputError(f"regression: found {n} rows for {p} parameters, expected more; record longer")
     r = _triangle(W, Y)
     r, target = r[:p, :p], r[:p, p]
-    check_rank(r, names)
+    check_rank(r, names, units)
     value = np.linalg.solve(r, target)
     inverse = np.linalg.inv(r)
     return LeastSquares.of(names, value, inverse @ inverse.T, Y - W @ value, Y, n, float(np.linalg.cond(r)))
@@ -204,7 +207,7 @@ def relative_error(residual: np.ndarray, force: np.ndarray) -> float:
     return 100.0 * error / norm if norm > NO_FORCE * error else float("nan")
 
 
-def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
+def check_rank(W: np.ndarray, names: tuple[str, ...], units: Units = LINEAR) -> None:
     """Raise :class:`RankError`, which names the linearly dependent columns of ``W`` or of its triangular factor.
 
     >>> W = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, 1.0]])
@@ -217,15 +220,16 @@ def check_rank(W: np.ndarray, names: tuple[str, ...]) -> None:
     empty = tuple(name for name, size in zip(names, length, strict=True) if size == 0)
     if empty:
         raise RankError(
-            f"the record does not excite: {', '.join(empty)}; record motion in both directions, with acceleration",
+            f"the record does not excite: {', '.join(map(units.word, empty))}; record motion in both directions, with "
+            "acceleration",
             empty,
         )
     _, singular, right = np.linalg.svd(np.linalg.qr(W / length, mode="r"))
     if singular[-1] < RANK_TOLERANCE * singular[0]:
         tied = tuple(name for name, weight in zip(names, np.abs(right[-1]), strict=True) if weight > 0.05)
         raise RankError(
-            f"the record cannot tell apart: {', '.join(tied)}; record motion that reverses, at several speeds, with "
-            "acceleration, or leave one of them out",
+            f"the record cannot tell apart: {', '.join(map(units.word, tied))}; record motion that reverses, at "
+            "several speeds, with acceleration, or leave one of them out",
             tied,
         )
 
@@ -321,7 +325,7 @@ def acceleration_noise(record: Record, cutoff_hz: float) -> float:
     return 2.0 * encoder_variance(record) * record.period * (2.0 * np.pi) ** 4 * cutoff_hz**5 / 5.0
 
 
-def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> dict[str, Any]:
+def explained_by_frequency(record: Record, cutoff_hz: float, model: Model, units: Units = LINEAR) -> dict[str, Any]:
     """Share of the force's power that the inverse ``model`` explains, in bands of a third of an octave.
 
     The parameters are those at ``cutoff_hz`` [Hz]; the dictionary also holds this cut-off and the rule that chose it.
@@ -346,7 +350,7 @@ def explained_by_frequency(record: Record, cutoff_hz: float, model: Model) -> di
     explained = [1.0 - float(residual_power[b].sum()) / max(float(whole[b].sum()), 1e-300) for b in bands]
     return {
         "cutoff_hz": cutoff_hz,
-        "rule": RULE,
+        "rule": RULE.format(mass=units.word("mass")),
         "frequency_hz": centre.round(3).tolist(),
         "explained": np.round(explained, 4).tolist(),
     }

@@ -16,6 +16,7 @@ from emps_design.effects import Motion
 from emps_design.effects.terms import ANGLE, BENT, GRAVITY, HIGHEST, LOWEST, POWER, TERMS
 from emps_design.errors import InputError, nearest_name
 from emps_design.quantities import Quantity
+from emps_design.units import Units
 
 MODELS: dict[str, tuple[Quantity, ...]] = {
     "symmetric": (
@@ -35,13 +36,16 @@ MODELS: dict[str, tuple[Quantity, ...]] = {
 # The symmetric model for motion in one direction, where Coulomb friction and constant force are one parameter.
 ONE_WAY, LUMP = "one way", Quantity("coulomb_and_offset", "F_c0", "N", text="Coulomb friction and constant force")
 
-LUMPED = (
-    "coulomb, constant_force are not determined: the motion goes one way only, where both are one force, "
-    f"{LUMP.name}; record the other way too and give both records"
-)
-
 # The friction parameters of all models.
 FRICTION = tuple(f"{kind}{way}" for kind in ("viscous", "coulomb") for way in ("", "_positive", "_negative"))
+
+
+def lumped(units: Units) -> str:
+    """The warning that motion one way does not separate Coulomb friction from a constant force."""
+    return (
+        f"coulomb, constant_force are not determined: the motion goes one way only, where both are one "
+        f"{units.word('force')}, {LUMP.name}; record the other way too and give both records"
+    )
 
 
 def parameters_of(model: str) -> tuple[Quantity, ...]:

@@ -215,7 +215,9 @@ def observe(
     warnings = list(record.warnings)
     for method, kinds in left_out(axis).items():
         if kinds:
-            warnings.append(f"{method}: left out, their force is not in the motion: {', '.join(kinds)}")
+            warnings.append(
+                f"{method}: left out, their {axis.units.word('force')} is not in the motion: {', '.join(kinds)}"
+            )
 
     cutoff_hz = min(DEFAULT_CUTOFF_HZ, ONLINE_SHARE / record.period) if cutoff_hz is None else cutoff_hz
     if offline_cutoff_hz is None:
@@ -293,7 +295,8 @@ def direct_validation(record: Record, axis: Axis, model: str = "asymmetric", **o
     With Y = tau_m + tau_e = W X + e, the observed force W X - tau_m differs from the measured one by e.
     """
     if record.f_ext is None or not np.any(record.f_ext):
-        raise RecordError(f"{record.name}: no measured external force; direct validation (21) needs a column f_ext")
+        force = axis.units.word("force")
+        raise RecordError(f"{record.name}: no measured external {force}; direct validation (21) needs a column f_ext")
     return identify(record, axis, model=model, external_force=KNOWN, **options)
 
 

@@ -47,10 +47,6 @@ STRIDE = 3  # phases, from one run to the next, by which the position at first w
 ITERATIONS = 12
 STEP = 1e-3  # of a parameter, for the derivatives
 CONVERGED = 1e-6  # relative fall of the criterion
-RESTS_TAKE_PART = (
-    "too little of the record is away from rest, so rests take part: a slow force that acts on the carriage at rest "
-    "biases its friction"
-)
 
 
 def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quantise: bool = False) -> Run:
@@ -69,7 +65,8 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
                 "acceleration between them"
             ]
             raise RecordError(
-                f"{record.name}: {name} came out as {start[name]:.4g}, which cannot be simulated; {why[0]}"
+                f"{record.name}: {axis.units.word(name)} came out as {start[name]:.4g}, which cannot be simulated; "
+                f"{why[0]}"
             )
     effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
@@ -172,7 +169,7 @@ def identify_by_output_error(
 
     def of_steps(rounded: Record, exact: Record) -> np.ndarray:
         off = _rows(motor_force(axis, rounded) - motor_force(axis, exact), problem)
-        return least_squares(jacobian, off, problem.names, problem.used).value
+        return least_squares(jacobian, off, problem.names, problem.used, axis.units).value
 
     error = force_error(value)
     slopes = _jacobian(force_error, value, error, model).T
@@ -181,7 +178,7 @@ def identify_by_output_error(
         """One Gauss-Newton step from the estimate; error and derivatives filtered at ``frequency`` [Hz]."""
         other, _, _ = _problem(record, axis, model, frequency)
         columns, target = np.column_stack([_rows(slope, other) for slope in slopes]), _rows(error, other)
-        step = least_squares(columns, target, other.names, other.used)
+        step = least_squares(columns, target, other.names, other.used, axis.units)
         linear, shifted = _linear(other, columns, step.residual, value + step.value)
         return Estimated(other.parameters(shifted.value), residual_statistics(linear, shifted)[0].std)
 
@@ -211,7 +208,12 @@ def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[R
         filtered = replace(filtered, used=np.ones_like(filtered.used))
         model = settled(filtered, model)
         W, Y = regression(filtered, model)
-        return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), [*remarks, RESTS_TAKE_PART]
+        force, carriage = axis.units.word("force"), axis.units.word("carriage")
+        remarks.append(
+            f"too little of the record is away from rest, so rests take part: a slow {force} that acts on the "
+            f"{carriage} at rest biases its friction"
+        )
+        return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), remarks
 
 
 def _linear(

@@ -17,7 +17,7 @@ def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, str]:
     >>> with_own_law(driven_by_something_else, machine("emps2019"))[0] is None
     True
     """
-    law = identify_law(record, axis.drive.command_unit)
+    law = identify_law(record, axis.units)
     if law.controller is None:
         return None, f"{axis.name} has no controller, and none is identified from the record: {law.reason}"
     with_law = Axis.from_dict({**axis.to_dict(), "controller": law.controller}, axis.name)

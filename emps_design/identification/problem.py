@@ -113,9 +113,10 @@ def notes(axis: Axis, simulated: bool = False) -> list[str]:
     if taken:
         lines.append(f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}")
     if unused:
+        force, mass = axis.units.word("force"), axis.units.word("mass")
         lines.append(
-            f"left out of the regression, for the motion does not give their force: {', '.join(unused)}; they "
-            "bias mass and friction, output error (oe) simulates them"
+            f"left out of the regression, for the motion does not give their {force}: {', '.join(unused)}; they "
+            f"bias {mass} and friction, output error (oe) simulates them"
         )
     own = [entry.kind for entry in axis.effects if any(p.per_record for p in entry.effect.parameters)]
     if own:
@@ -180,7 +181,7 @@ class Regression:
 
     def solved(self) -> LeastSquares:
         """The least-squares fit; raises :class:`RankError` for columns that the record cannot tell apart."""
-        return least_squares(self.W, self.Y, self.names, self.used)
+        return least_squares(self.W, self.Y, self.names, self.used, self.axis.units)
 
 
 def settled(filtered: Filtered, model: Model) -> Model:

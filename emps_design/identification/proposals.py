@@ -34,6 +34,7 @@ from emps_design.identification.result import IdentificationRequest
 from emps_design.identification.statistics import LongRun
 from emps_design.records import Record
 from emps_design.stretches import stretches
+from emps_design.units import LINEAR, Units
 
 STATES = ((0, 1, 2), (1,), (0,))  # columns of position, velocity, acceleration that are compared: all, or one of them
 NEIGHBOURS, WITHIN = 6, 64  # moments whose residuals are averaged, out of so many nearest ones
@@ -87,11 +88,11 @@ class Unexplained:
             "widening": self.widening,
         }
 
-    def warnings(self) -> list[str]:
-        """A warning with the next step, or [] where the residual is small."""
+    def warnings(self, units: Units = LINEAR) -> list[str]:
+        """A warning with the next step on an axis with ``units``, or [] where the residual is small."""
         if not self.matters:
             return []
-        message = f"the model leaves {100.0 * self.share:.2g} % of the force unexplained"
+        message = f"the model leaves {100.0 * self.share:.2g} % of the {units.word('force')} unexplained"
         if self.structure > LITTLE:
             message += (
                 f", and {100.0 * self.structure:.2g} % comes again with the same motion, so it is no noise (noise: "

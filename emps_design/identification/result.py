@@ -224,9 +224,10 @@ class Identification(Viewed):
         try:
             return Axis.from_dict(data, f"identified from {self.record}")
         except InputError as error:
+            force = self.axis.units.word("force")
             raise InputError(
-                f"{error}; no machine has such parameters: a force that the model lacks, such as a weight or a spring, "
-                "biases them, and diagnose names it"
+                f"{error}; no machine has such parameters: a {force} that the model lacks, such as a weight or a "
+                "spring, biases them, and diagnose names it"
             ) from error
 
     def to_dict(self) -> dict[str, Any]:
@@ -258,8 +259,9 @@ class Identification(Viewed):
         values = {name: estimate.value for name, estimate in self.parameters.items() if estimate.value is not None}
         missing = [name for name in self.parameters if name not in values]
         if missing:
+            listed = ", ".join(map(self.axis.units.word, missing))
             raise AxisError(
-                f"{self.record}: {', '.join(missing)} not determined by the record, {purpose} needs all; record motion "
+                f"{self.record}: {listed} not determined by the record, {purpose} needs all; record motion "
                 "that excites them"
             )
         return values

@@ -178,8 +178,9 @@ def identify_several(
     for record, fit in zip(records, fits, strict=True):
         missing = [name for name, estimate in fit.parameters.items() if not estimate.determined]
         if missing:
+            listed = ", ".join(map(fit.axis.units.word, missing))
             raise AxisError(
-                f"{record.name}: {', '.join(missing)} not determined, so there is no mean to take; leave this record "
+                f"{record.name}: {listed} not determined, so there is no mean to take; leave this record "
                 "out, or record motion that excites them"
             )
         # Every record is judged by the inverse model, whatever the estimator: output error has other columns.

@@ -28,7 +28,7 @@ def identification_view(document: Document, units: Units) -> View:
         *_further_deviations(document, units),
         *_fit(document, units),
         *_held_in_intervals(document, units),
-        Line(units.text(f"filter {document['filter']['chain']}: {document['filter']['text']}")),
+        Line(f"filter {document['filter']['chain']}: {document['filter']['text']}"),
         *_judged(document, units),
     )
 

@@ -123,7 +123,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
     from emps_design.report.record import law_blocks
 
     progress("trying structures", 0.2)
-    law = identify_law(record, axis.drive.command_unit)
+    law = identify_law(record, axis.units)
     progress("drawing", 0.9)
     table, name = law.controller, f"{axis.name.split(' with the law')[0]} with the law of {record.name}"
     return {

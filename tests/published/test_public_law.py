@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not CASE.is_dir(), reason=f"the public records a
 def test_the_slope_of_four_points_is_told(name):
     """Three notches and kp 87.6 passed for it, with 1.4 % of the command left."""
     axis = load_axis(str(CASE / "axis.toml"))
-    found = identify_law(import_record(CASE / f"{name}.npz", axis), axis.drive.command_unit)
+    found = identify_law(import_record(CASE / f"{name}.npz", axis), axis.units)
     assert found.verdict == TOLD, found.reason
     table = found.controller
     assert table["velocity_estimator"] == {"kind": "slope", "points": 4}

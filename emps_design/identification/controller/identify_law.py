@@ -53,6 +53,7 @@ from emps_design.identification.controller.wording import (
     unlike,
 )
 from emps_design.records import Record
+from emps_design.units import LINEAR, Units
 
 ROUNDS = 12
 OUTLYING = 8.0  # deviations of the typical difference
@@ -111,8 +112,8 @@ def _within(signals: ControllerSignals, table: np.ndarray) -> np.ndarray:
     return signals.command - table @ (np.linalg.lstsq(columns / scale, target, rcond=1e-10)[0] / scale)
 
 
-def identify_law(records: Record | Sequence[Record], command_unit: str = "V") -> LawEstimate:
-    """Identify the controller that made ``records``, one or several, whose command is in ``command_unit``.
+def identify_law(records: Record | Sequence[Record], units: Units = LINEAR) -> LawEstimate:
+    """Identify the controller that made ``records``, one or several, of an axis with ``units``.
 
     Several records are fitted together, with a new initial integral in each, which determines more than each alone.
     Raises :class:`RecordError` for records with other columns or another period than the first.
@@ -131,25 +132,25 @@ def identify_law(records: Record | Sequence[Record], command_unit: str = "V") ->
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):  # the matrices here are tall and thin: BLAS threads would only spin
-        return _identified([records] if isinstance(records, Record) else _checked_records(records), command_unit)
+        return _identified([records] if isinstance(records, Record) else _checked_records(records, units), units)
 
 
-def _identified(several: list[Record], command_unit: str) -> LawEstimate:
+def _identified(several: list[Record], units: Units) -> LawEstimate:
     """The controller that made ``several`` records with the same columns and period."""
     name = " + ".join(record.name for record in several)
     there = measured_there(several[0])
     read = [signals_of(own_samples(record) if there is None else record, there) for record in several]
     for record, reading in zip(several, read, strict=True):
         if isinstance(reading, str):
-            return _not_told(name, command_unit, reading if len(several) == 1 else f"{record.name}: {reading}")
+            return _not_told(name, units, reading if len(several) == 1 else f"{record.name}: {reading}")
     known = [reading for reading in read if not isinstance(reading, str)]
     signals = joined(known)
     if several[0].measured is not None and there is None:
         if signals.velocity_reference:
-            return _not_told(name, command_unit, f"{IRREGULAR}, and that follows no velocity")
+            return _not_told(name, units, f"{IRREGULAR}, and that follows no velocity")
         polled = best_law(replace(signals, times=several[0].measured["t"]), replace(PROPORTIONAL, skew=True))
         parts = halves(polled.signals)
-        return _report(several, command_unit, polled, None, parts, f"{IRREGULAR}: that ")
+        return _report(several, units, polled, None, parts, f"{IRREGULAR}: that ")
     best, steps = best_law(signals), None
     if not signals.velocity_reference and all(record.velocity_reference is not None for record in several):
         inner = best_law(joined([_with_velocity_reference(*pair) for pair in zip(known, several, strict=True)]))
@@ -162,10 +163,10 @@ def _identified(several: list[Record], command_unit: str) -> LawEstimate:
     ends = np.cumsum([0, *(len(recorded) + -len(recorded) % WHOLE_LOOPS for recorded in known)])
     samples = np.arange(len(signals))
     parts = [(samples >= start) & (samples < end) for start, end in pairwise(ends)]
-    estimate = _report(several, command_unit, best, steps, parts if len(several) > 1 else halves(best.signals))
+    estimate = _report(several, units, best, steps, parts if len(several) > 1 else halves(best.signals))
     if len(several) == 1 or estimate.controller is not None:
         return estimate
-    return unlike(estimate, [_identified([record], command_unit) for record in several])
+    return unlike(estimate, [_identified([record], units) for record in several])
 
 
 def signals_of(record: Record, there: np.ndarray | None = None) -> ControllerSignals | str:
@@ -224,7 +225,7 @@ def own_samples(record: Record) -> Record:
     return replace(record, t=t, measured=None, **own)
 
 
-def _checked_records(records: Sequence[Record]) -> list[Record]:
+def _checked_records(records: Sequence[Record], units: Units) -> list[Record]:
     """The records as a list; raises :class:`RecordError` where they cannot come from one controller."""
     first, *others = records
     for other in others:
@@ -232,7 +233,7 @@ def _checked_records(records: Sequence[Record]) -> list[Record]:
         for what, own, expected in (
             ("period", f"{other.period:.6g} s", f"{first.period:.6g} s"),
             ("reference", *("a velocity" if r.velocity_reference is not None else "a position" for r in pair)),
-            ("external force", *("none" if r.f_ext is None else "one" for r in pair)),
+            (f"external {units.word('force')}", *("none" if r.f_ext is None else "one" for r in pair)),
         ):
             if own != expected:
                 raise RecordError(f"{other.name}: {what}: found {own}, expected {expected} as in {first.name}")
@@ -244,7 +245,7 @@ def _checked_records(records: Sequence[Record]) -> list[Record]:
 
 def _report(
     several: Sequence[Record],
-    unit: str,
+    units: Units,
     best: BestLaw,
     steps: np.ndarray | None,
     parts: Sequence[np.ndarray],
@@ -254,7 +255,7 @@ def _report(
     velocity_reference = best.signals.velocity_reference
     compared: dict[str, dict[str, Any]] = {}  # a structure that was fitted from two beginnings is one
     for law in [best.fit, *best.rivals]:
-        row = described(law, best)
+        row = described(law, best, units)
         compared.setdefault(row["terms"], row)
     tried = tuple(compared.values())
     fields: dict[str, Any] = {"residual_rms": best.rms, "residual_share": best.share, "tried": tried}
@@ -263,30 +264,30 @@ def _report(
             f"{why or 'the best law tried '}leaves {100 * best.share:.3g} % of the command's deviation, expected at "
             f"most {100 * HOLDS:g} %: an open loop, another structure, or columns that are not the controller's own"
         )
-        return _not_told(name, unit, reason, **fields)
+        return _not_told(name, units, reason, **fields)
     kind = kind_of(best.fit, velocity_reference)
     if not kind:
         reason = f"the command follows a law that no kind of controller here has: {tried[0]['terms']}"
-        return _not_told(name, unit, reason, **fields)
+        return _not_told(name, units, reason, **fields)
     if step := too_coarse(best):
         reason = f"the reference is recorded in steps of {step:.2g}, of which derivatives hide what is fed forward; "
-        return _not_told(name, unit, f"{reason}record it with more digits", **fields)
+        return _not_told(name, units, f"{reason}record it with more digits", **fields)
     spread = covariance(best.signals, best.fit, best.held)
     numbers = with_deviations(best.fit, spread, lambda law: numbers_of(law, velocity_reference))
     numbers |= _double_root_deviations(best, spread, numbers)
     loose = [name for name, (value, std) in numbers.items() if name in FEEDBACK and not std < LOOSE * abs(value)]
     if loose:
         reason = f"the record does not determine {', '.join(loose)}; record more motion"
-        return _not_told(name, unit, reason, **fields)
+        return _not_told(name, units, reason, **fields)
     values = {name: _rounded(value, std) for name, (value, std) in numbers.items()}
     table = table_of(best.fit, velocity_reference, values, best.holds is not False)
     times = times_allowed(best)
     fields["allowed_rms"] = best.rms / times
     if times > TIMES:
-        return _not_told(name, unit, too_much_left(best, times, unit), closest=table, **fields)
+        return _not_told(name, units, too_much_left(best, times, units.command_unit), closest=table, **fields)
     apart = disagreement(best, parts, lambda law: numbers_of(law, velocity_reference))
     if apart is not None:
-        return _not_told(name, unit, f"{in_parts(apart, several)}; no one law made all of it", closest=table, **fields)
+        return _not_told(name, units, f"{in_parts(apart, several)}; no one law made all of it", closest=table, **fields)
     close = [law for law in best.rivals if law.criterion < best.fit.criterion + AS_GOOD]
     close = [law for law in close if kind_of(law, velocity_reference)]
     own, *others = (
@@ -314,12 +315,15 @@ def _report(
         reason=reason,
         controller=table,
         std=deviations_of(best.fit, {name: std for name, (_, std) in numbers.items()}),
-        command_unit=unit,
+        command_unit=units.command_unit,
         delay=best.fit.timing.delay,
         limit=best.limit,
         limited_samples=0 if best.limited is None else int(best.limited.sum()),
         equivalents=equivalents,
-        notes=(*([how_far_apart(structures, best)] if structures else []), *notes_of(several, unit, best, steps)),
+        notes=(
+            *([how_far_apart(structures, best)] if structures else []),
+            *notes_of(several, units.command_unit, best, steps),
+        ),
         **fields,
     )
 
@@ -363,8 +367,8 @@ def _same_numbers(first: Any, other: Any) -> bool:
     return bool(first == other)
 
 
-def _not_told(name: str, unit: str, reason: str, **fields: Any) -> LawEstimate:
+def _not_told(name: str, units: Units, reason: str, **fields: Any) -> LawEstimate:
     fields = {"residual_rms": None, "residual_share": None} | fields
     return LawEstimate(
-        record=name, verdict=NOT_TOLD, reason=reason, controller=None, std={}, command_unit=unit, **fields
+        record=name, verdict=NOT_TOLD, reason=reason, controller=None, std={}, command_unit=units.command_unit, **fields
     )

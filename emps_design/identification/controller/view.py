@@ -9,16 +9,15 @@ from emps_design.view import Line, Table, View
 
 if TYPE_CHECKING:
     from emps_design.identification.controller.wording import LawEstimate
-    from emps_design.units import Units
 
 
-def law_view(estimate: LawEstimate, units: Units) -> View:
-    """What ``estimate`` shows on an axis with ``units``."""
-    return tuple(_parts(estimate, units))
+def law_view(estimate: LawEstimate) -> View:
+    """What ``estimate`` shows."""
+    return tuple(_parts(estimate))
 
 
-def _parts(estimate: LawEstimate, units: Units) -> Iterator[Line | Table]:
-    yield Line(estimate.verdict + (f": {units.text(estimate.reason)}" if estimate.reason else ""), "strong")
+def _parts(estimate: LawEstimate) -> Iterator[Line | Table]:
+    yield Line(estimate.verdict + (f": {estimate.reason}" if estimate.reason else ""), "strong")
     if estimate.controller is not None:
         for line in ("", *estimate.to_toml().splitlines(), ""):
             yield Line(line, "code")
@@ -34,7 +33,7 @@ def _parts(estimate: LawEstimate, units: Units) -> Iterator[Line | Table]:
         own = f"; the record allows {estimate.allowed_rms:.4g}" if estimate.allowed_rms is not None else ""
         yield Line(f"leaves {rms} rms, {100 * estimate.residual_share:.3g} % of the command's deviation{own}")
     for note in estimate.notes:
-        yield Line(units.text(note))
+        yield Line(note)
     if len(estimate.tried) > 1:
         compared = [
             (row["terms"], f"{row['residual_rms']:.4g}", f"{row['criterion']:+.1f}", f"{row['apart']:.1f}")

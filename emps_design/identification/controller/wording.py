@@ -29,6 +29,7 @@ from emps_design.identification.controller.regressors import (
 from emps_design.laws import leaves
 from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
 from emps_design.records import Record
+from emps_design.units import Units
 
 TOLD, AMBIGUOUS, NOT_TOLD = "told", "ambiguous", "not told"
 
@@ -248,8 +249,8 @@ def _numbers(part: ControllerSignals, best: BestLaw, numbers: Callable[..., dict
     return with_deviations(law, covariance(part, law, best.held), numbers)
 
 
-def described(law: LawFit, best: BestLaw) -> dict[str, Any]:
-    """A compared structure as plain data."""
+def described(law: LawFit, best: BestLaw, units: Units) -> dict[str, Any]:
+    """A compared structure as plain data, in the words of ``units``."""
     s, timing = law.structure, law.timing
     terms = [f"{s.form or 'p'} velocity loop" if s.velocity else "no velocity loop"]
     if s.position:
@@ -257,7 +258,7 @@ def described(law: LawFit, best: BestLaw) -> dict[str, Any]:
     if s.velocity and s.share != 0:
         of = "profile's" if timing.profile else "reference"
         terms.append(f"all of the {of} velocity" if s.share == 1 else f"a share of the {of} velocity")
-    terms += [name for name in ("acceleration", "coulomb", "force", "offset") if getattr(s, name)]
+    terms += [units.word(name) for name in ("acceleration", "coulomb", "force", "offset") if getattr(s, name)]
     terms += [estimator_in_words(timing.velocity_estimator), f"delay {timing.delay}"]
     terms += [f"{f.kind} {f.frequency:.4g} Hz" for f in law.filters]
     return {

@@ -10,7 +10,7 @@ from emps_design.discrepancy import explanation
 from emps_design.discrepancy.preparation import prepare
 from emps_design.effects.effect import OFFSET
 from emps_design.identification.excitation import goes_one_way
-from emps_design.identification.model import LUMPED
+from emps_design.identification.model import lumped
 from emps_design.report.diagnosis import axis_before
 from tests.unit.identification.test_short_records import MOTOR, run
 
@@ -22,7 +22,7 @@ def test_the_constant_force_is_free_where_both_ways_are_driven(records, directio
     found = prepare(records, MOTOR, (), None, None, None)
     assert found.direction == direction
     assert found.start.model.held == ((OFFSET,) if direction else ())
-    assert (LUMPED in found.warnings) == bool(direction)
+    assert (lumped(MOTOR.units) in found.warnings) == bool(direction)
 
 
 def test_a_motor_that_stutters_forward_has_two_signs_of_friction():
