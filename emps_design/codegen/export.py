@@ -53,7 +53,6 @@ LONGEST = 300  # s, of a compilation
 ROWS = 1000  # of the machine's vectors
 MOMENT = (1980, 1, 1, 0, 0, 0)  # of every file in a unit, so that the same axis gives the same bytes
 
-STABILITY_UNCHECKED = "whether the loop is stable was not checked: the law is not linear while the carriage slides"
 NO_TERM_KEPT = "the compensation keeps no term: the law alone was written"
 LEAST = float(np.finfo(np.float32).tiny)  # smallest speed by which single precision can divide
 NO_COMPILER = "no C compiler was found: the units hold their source alone, for the importing tool to compile"
@@ -82,11 +81,12 @@ def in_fmu(name: str, block: Block, vectors: Vectors) -> Files:
 def controller_unit(name: str, block: Block, vectors: Vectors) -> bytes:
     """The controller of ``block`` as a unit: reference and measurements in, command out."""
     unit, words = block.axis.units.unit, words_of(name, block)
+    force, carriage = words["force"], words["carriage"]
     ahead = 0.0 if block.ahead is None else block.ahead.feedforward.wait
     inputs = [
         Variable("reference", "input", words["reference_unit"], f"{words['follows']} that the law follows"),
         Variable("q", "input", unit("m"), "position that the encoder reports"),
-        Variable("f_ext", "input", unit("N"), "external force on the carriage, 0 without a sensor"),
+        Variable("f_ext", "input", unit("N"), f"external {force} on the {carriage}, 0 without a sensor"),
         *(
             Variable(title, "input", unit(si), f"motion of the reference {ahead:.6g} s later")
             for title, si in zip(vectors.titles[3:], ("m", "m/s", "m/s^2"), strict=False)
@@ -111,10 +111,11 @@ def controller_unit(name: str, block: Block, vectors: Vectors) -> bytes:
 
 def machine_unit(name: str, axis: Axis) -> bytes:
     """The axis with its effects as a unit: command and external force in, encoder and motion out."""
-    unit = axis.units.unit
+    unit, word = axis.units.unit, axis.units.word
+    held = f"external {word('force')} on the {word('carriage')}, held over the period"
     variables = [
         Variable("u", "input", unit("V"), "command, held over the period"),
-        Variable("f_ext", "input", unit("N"), "external force on the carriage, held over the period"),
+        Variable("f_ext", "input", unit("N"), held),
         Variable("q", "output", unit("m"), "position that the encoder reports"),
         Variable("position", "output", unit("m"), "position"),
         Variable("v", "output", unit("m/s"), "velocity"),
@@ -246,6 +247,8 @@ class Exported(Viewed):
     def to_dict(self) -> dict[str, Any]:
         """Names and hashes of the files, the vectors, operations, drive settings, as plain data."""
         finite = self.vectors.difference[np.isfinite(self.vectors.difference)]
+        carriage = self.block.axis.units.word("carriage")
+        unchecked = f"whether the loop is stable was not checked: the law is not linear while the {carriage} slides"
         return {
             "name": self.name,
             "target": self.target,
@@ -266,7 +269,7 @@ class Exported(Viewed):
             "drives": self._drives(),
             "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
-            "warnings": [STABILITY_UNCHECKED] * (not self.checked)
+            "warnings": [unchecked] * (not self.checked)
             + [NO_TERM_KEPT] * self.bare
             + [NO_COMPILER] * (self.target == "fmu" and not binary_for()),
         }

@@ -227,7 +227,8 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
     if law.error_alone:
         first, last = FEEDFORWARD_LINES
         equations = (*equations, first, last + (WAITS if block.waits is not None else ""))
-    unit = axis.units.unit
+    units, unit = axis.units, axis.units.unit
+    force = units.word("force")
     parameters = [
         f"{'.'.join(path)} = {value} {unit(unit_of(field))}".rstrip()
         for path, value in leaves(own)
@@ -238,7 +239,7 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "macro": name.upper(),
         "axis": comment(axis.name),
         "kind": block.kind.name,
-        "label": comment(block.kind.label),
+        "label": comment(units.words(block.kind.label)),
         "source": comment(block.kind.source),
         "version": metadata.version("emps-design"),
         "commit": commit(),
@@ -257,12 +258,14 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "mass_unit": unit("kg"),
         "limit": repr(block.limit),
         "observes": block.observes,
-        "exercised": f"motion of up to {TRAVEL:g} m, motion thirty times that" if block.observes else EXERCISED,
+        "exercised": f"motion of up to {units.quantity(TRAVEL, 'm', 'g')}, motion thirty times that"
+        if block.observes
+        else EXERCISED,
         "late": axis.sampling.computation_delay,
         "lag": axis.drive.current_time_constant,
-        "what": "observer of the external force" if block.observes else "controller",
+        "what": f"observer of the external {force}" if block.observes else "controller",
         "bounded": "" if block.observes else f", command limited to {block.limit!r} {unit('V')}",
-        "answer": "external force" if block.observes else "command",
+        "answer": f"external {force}" if block.observes else "command",
         "either_way": "" if block.observes else f", at most {block.limit!r} either way",
         "output_unit": unit("N" if block.observes else "V"),
         "follows": _reference_text(block),
@@ -270,6 +273,8 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "position_unit": unit("m"),
         "force_unit": unit("N"),
         "command_unit": unit("V"),
+        "force": force,
+        "carriage": units.word("carriage"),
     }
 
 

@@ -33,7 +33,7 @@ typedef struct {
 void {{ name }}_init({{ name }}_state *state);
 
 /* One sample. Takes what the law follows, {{ follows }} [{{ reference_unit }}], the position that the encoder reports
- * [{{ position_unit }}], and the external force on the carriage [{{ force_unit }}] (0 where there is no sensor for it).
+ * [{{ position_unit }}], and the external {{ force }} on the {{ carriage }} [{{ force_unit }}] (0 where there is no sensor for it).
  * Returns the {{ answer }} [{{ output_unit }}]{{ either_way }}.
 {% if ahead %} *
  * ahead_q [{{ position_unit }}], ahead_v [{{ velocity_unit }}], ahead_a [{{ acceleration_unit }}]: the motion of the reference {{ ahead.wait }} s after
