@@ -35,9 +35,11 @@ class ForceRequest(VelocityLoopRequest, ContactRequest):
     @property
     def gain(self) -> float:
         """The force gain [(m/s)/N] of the request, or that of the axis."""
-        gain = self.machine.controller.k_e1 if self.k_e1 is None else self.k_e1
+        gain, unit = self.machine.controller.k_e1 if self.k_e1 is None else self.k_e1, self.machine.units.unit
         if gain is None:
-            raise InputError("k_e1: found none, expected `k_e1` in (m/s)/N, or k_e1 in the axis file's [controller]")
+            raise InputError(
+                f"k_e1: found none, expected `k_e1` in {unit('(m/s)/N')}, or k_e1 in the axis file's [controller]"
+            )
         return gain
 
 
@@ -47,11 +49,12 @@ def answer(request: ForceRequest) -> Reply:
     from emps_design.control.velocity.gains import IP
     from emps_design.laws.library import ip_velocity
 
-    k_e1, hand = request.gain, request.hand
+    k_e1, hand, units = request.gain, request.hand, request.axis.units
     notes = []
     if hand is None and request.environment is None:
         hand = 1.0 / k_e1 if k_e1 > 0.0 else 0.0
-        notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {hand:g} N/(m/s)")
+        damping = units.quantity(hand, "N/(m/s)", "g")
+        notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {damping}")
     loop, origin = _velocity_loop(request)
     notes += [origin] if origin else []
     design = design_force_loop(
@@ -60,7 +63,8 @@ def answer(request: ForceRequest) -> Reply:
     if request.out is not None and (loop.structure != IP or loop.filters):
         raise InputError(
             f"`out`: found a {loop.structure.label} velocity loop{' with filters' * bool(loop.filters)}, expected IP "
-            "alone: no [controller] has k_e1 around another; make the drive's velocity reference k_e1 times the force"
+            "alone: no [controller] has k_e1 around another; make the drive's velocity reference k_e1 times the "
+            f"{units.word('force')}"
         )
     document: dict[str, Any] = design.to_dict()
     document["warnings"] += notes
@@ -69,7 +73,6 @@ def answer(request: ForceRequest) -> Reply:
         document["out"] = write_axis(request.out, request.machine.replace(controller=table))
     if design.reason:
         document["nearest"], document["reason"] = design.nearest_stable, design.reason
-    units = request.axis.units
     return Reply(document, force_view(document, units), units, design.reason)
 
 

@@ -48,11 +48,11 @@ def answer(request: ImpedanceRequest) -> Reply:
     """The verdict on the law, what the operator feels, and what the plants within the mismatch do."""
     from emps_design.comanipulation.assessment import assess_impedance
 
-    axis = request.axis
+    axis, unit = request.axis, request.axis.units.unit
     assessment = assess_impedance(
         axis,
-        _required("mass", "M_a [kg]", request.mass, axis.controller.mass),
-        _required("damping", "B [N/(m/s)]", request.damping, axis.controller.damping),
+        _required("mass", f"M_a [{unit('kg')}]", request.mass, axis.controller.mass),
+        _required("damping", f"B [{unit('N/(m/s)')}]", request.damping, axis.controller.damping),
         request.mismatch,
         request.filter,
         plants=request.plants,

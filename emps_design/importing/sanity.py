@@ -206,7 +206,8 @@ def _force(axis: Axis, record: Record) -> Doubts:
             "reference, needs sign = -1 in [record]",
         )
     ratio = float(np.sqrt(np.mean(force**2) / np.mean(needed**2)))
-    words = f"found force_gain x command {ratio:.3g} times what mass and friction need for the motion"
+    mass = axis.units.word("mass")
+    words = f"found force_gain x command {ratio:.3g} times what {mass} and friction need for the motion"
     if not 1.0 / IMPOSSIBLE_FORCE < ratio < IMPOSSIBLE_FORCE:
         yield "force-scale", f"columns u and q: {words}, expected about as much; correct unit or scale in [record]"
     # Friction may hide a wrong scale in the sum.
@@ -216,8 +217,8 @@ def _force(axis: Axis, record: Record) -> Doubts:
     ):
         yield (
             "inertia-scale",
-            f"columns q and q_ref: found a motion that {inertial / expected:.3g} times the mass of the axis would make "
-            "under this command, expected about that mass; correct unit or scale of both in [record]",
+            f"columns q and q_ref: found a motion that {inertial / expected:.3g} times the {mass} of the axis would "
+            f"make under this command, expected about that {mass}; correct unit or scale of both in [record]",
         )
     known = f" ({_confusion(ratio)}?)" if _confusion(ratio) else ""
     if not 1.0 / ODD_FORCE < ratio < ODD_FORCE:
@@ -408,7 +409,7 @@ def _faults(axis: Axis, record: Record) -> Iterator[str]:
     if means.size and float(np.sqrt(np.mean(means**2))) > ALTERNATES * swing:
         yield "u: every second sample is another signal's"
     yield from _exchanged_in_motion(axis, record)
-    yield from _gain(record)
+    yield from _gain(axis, record)
     yield from _late(record)
 
 
@@ -462,7 +463,7 @@ def _exchanged_in_motion(axis: Axis, record: Record) -> Iterator[str]:
         yield "q and q_ref: the reference explains the command better than the position; they may be exchanged"
 
 
-def _gain(record: Record) -> Iterator[str]:
+def _gain(axis: Axis, record: Record) -> Iterator[str]:
     """A sentence where the same motion takes another command from some time on, for mass and friction alike.
 
     Both parts must accelerate and brake: otherwise friction that depends on torque or direction looks like a gain.
@@ -485,8 +486,8 @@ def _gain(record: Record) -> Iterator[str]:
     if 1.0 / GAIN < times < GAIN:
         return
     yield (
-        f"u: from about {record.t[cut]:.3g} s on the same motion takes {times:.3g} times the command, mass and "
-        "friction alike: its gain or its unit changes there"
+        f"u: from about {record.t[cut]:.3g} s on the same motion takes {times:.3g} times the command, "
+        f"{axis.units.word('mass')} and friction alike: its gain or its unit changes there"
     )
 
 
