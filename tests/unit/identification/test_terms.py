@@ -157,7 +157,7 @@ def test_the_work_of_a_hand_tells_neither_inertia_nor_friction():
     assert found.parameters["gravity_torque"].value == pytest.approx(3.3, rel=0.01)
     for name in ("mass", "viscous", "coulomb"):
         assert not found.parameters[name].determined
-        said = next(text for text in found.warnings if text.startswith(f"{name} is not determined"))
+        said = next(text for text in found.warnings if text.startswith(f"{axis.units.word(name)} is not determined"))
         assert "record motion that the motor makes" in said or "record acceleration" in said
 
 
