@@ -174,15 +174,6 @@ REFUSED = {
 }
 
 
-# Cases whose room still makes sentences of a linear axis, and that room.
-LINEAR_YET = {
-    "identified": "identification",
-    "identified by output error": "identification",
-    "no motion": "records",
-    "pushed by hand": "identification",
-}
-
-
 def _csv(bench: Bench, position: float = 1.0, command: float = 1.0) -> Path:
     """The record as a file of numbers with a factor on its columns."""
     record = bench.record
@@ -194,7 +185,8 @@ def _csv(bench: Bench, position: float = 1.0, command: float = 1.0) -> Path:
 
 def _still(bench: Bench) -> Record:
     record = bench.record
-    return Record.from_arrays(record.t, 0.0 * record.q, 0.0 * record.q, 0.0 * record.u)
+    still = (0.0 * record.q, 0.0 * record.q, 0.0 * record.u)
+    return Record.from_arrays(record.t, *still, layout=layout_of(bench.axis))
 
 
 def _pushed(bench: Bench) -> Record:
@@ -202,19 +194,9 @@ def _pushed(bench: Bench) -> Record:
     return Record.from_arrays(record.t, record.q_ref, record.q, record.u, f_ext=5.0 + 0.0 * record.t)
 
 
-def cases(table: Mapping[str, Any]) -> list[Any]:
-    """Every axis with every case of ``table``; a rotary axis fails where its room still speaks of a linear one."""
-    return [
-        pytest.param(
-            kind,
-            name,
-            marks=[pytest.mark.xfail(strict=True, reason=f"the room {room} makes it for a linear axis")]
-            if (room := LINEAR_YET.get(name)) and kind.startswith("rotary")
-            else [],
-        )
-        for kind in AXES
-        for name in table
-    ]
+def cases(table: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Every axis with every case of ``table``."""
+    return [(kind, name) for kind in AXES for name in table]
 
 
 @pytest.mark.parametrize(("bench", "name"), cases(RESULTS), indirect=["bench"])
