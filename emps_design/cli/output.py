@@ -79,7 +79,7 @@ class Terminal:
 
     def text(self, text: str) -> str:
         """``text`` of the library with flags for arguments, in the units and words of the axis."""
-        return self.named(self.units.text(text))
+        return self.named(text)
 
     def plain(self, value: Any, key: str = "") -> Any:
         """``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
@@ -89,7 +89,6 @@ class Terminal:
         if hasattr(value, "to_dict"):
             return self.plain(value.to_dict())
         if isinstance(value, str):
-            value = value if key in NAMES else self.units.value(value)
             return self.named(value) if key in MESSAGES else value
         if isinstance(value, dict):
             return {str(name): self.plain(item, str(name)) for name, item in value.items()}

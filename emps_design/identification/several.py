@@ -88,7 +88,7 @@ class SeveralIdentifications(Viewed):
             rows.append(
                 {
                     "name": quantity.name,
-                    "unit": quantity.unit,
+                    "unit": self.axis.units.unit(quantity.unit),
                     "mean": float(column.mean()),
                     "spread": float(column.std(ddof=1)),
                     "std": float(np.mean(within)),

@@ -42,7 +42,7 @@ def several_view(document: Document, units: Units) -> View:
         mean, spread, std = (f"{row[key]:.{places}f}" for key in ("mean", "spread", "std"))
         mark = " **" if row["drift_significant"] else ""
         drift = None if row["drift"] is None else f"{row['drift']:+.{places}f}{mark}"
-        rows.append((_label(name, own, units), mean, spread, std, drift, units.unit(row["unit"])))
+        rows.append((_label(name, own, units), mean, spread, std, drift, row["unit"]))
     judged = [
         (f"{number} {name}", *(f"{error:.3f}" for error in errors))
         for number, (name, errors) in enumerate(zip(names, document["cross_validation"], strict=True), 1)

@@ -27,6 +27,7 @@ from emps_design import (
     synthetic_record,
 )
 from emps_design.comanipulation.assessment import assess_impedance
+from emps_design.importing import layout_of
 
 PD = {"kind": "position_pd", "kp": 22.0, "kv": 7.6}
 JOINT = {
