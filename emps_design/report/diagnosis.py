@@ -106,13 +106,8 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         return [_row("velocity loop", None, None, units.text(str(error)))]
     specification = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
     rows = [
-        _row(
-            name,
-            quantity(getattr(old, name), unit, 4, units),
-            quantity(getattr(new, name), unit, 4, units),
-            specification,
-        )
-        for name, unit in (("k_v1", "V/(m/s)"), ("t_v", "s"))
+        _row("k_v1", quantity(old.k_v1, "V/(m/s)", 4, units), quantity(new.k_v1, "V/(m/s)", 4, units), specification),
+        _row("t_v", quantity(old.t_v, "s"), quantity(new.t_v, "s"), specification),
     ]
     if not really.stable:
         now = "stable" if expected.stable else "unstable"

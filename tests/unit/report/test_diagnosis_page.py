@@ -16,7 +16,7 @@ from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.report.diagnosis import VERDICTS, axis_before, design_change, diagnosis_page
 from emps_design.report.diagnosis_sections import answer_points, before_after_figure, in_plain_words
-from emps_design.units import Units
+from emps_design.units import LINEAR, Units
 
 
 @dataclass
@@ -199,7 +199,7 @@ def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_
     assert "one cause has been found: Stribeck friction" in plain
     assert "played no part in finding it agrees" in plain
     assert "Something is left that nothing known explains" in plain
-    points = [str(line) for line in answer_points(diagnosis.document, Units()).items]
+    points = [str(line) for line in answer_points(diagnosis.document, LINEAR).items]
     assert "the held-out data ask for 0.97 ± 0.04 of it" in points[0]
     assert points[1].startswith("Left: 2.3 N rms")
     assert points[2].startswith("Record next: ")
