@@ -164,7 +164,8 @@ def design_position_loop(
     if wanted not in WANTED:
         raise InputError(f"position loop: found {wanted!r}, expected one of {', '.join(WANTED)}")
     if not math.isfinite(value) or value < 0.0 or (value == 0.0 and wanted != "overshoot"):
-        raise InputError(f"position loop: found {wanted} {value:g} {WANTED[wanted]}, expected a positive number")
+        found = velocity_loop.axis.units.quantity(value, WANTED[wanted], "g")
+        raise InputError(f"position loop: found {wanted} {found}, expected a positive number")
     if not velocity_loop.sampled.stable:
         raise SpecificationError("position loop: the velocity loop inside it is unstable", {})
     requested = {wanted: float(value)}
@@ -215,9 +216,10 @@ def _bisect(past: Callable[[float], bool], low: float, high: float) -> float:
 
 def _unreachable(nearest: PositionLoopDesign, wanted: str, value: float) -> SpecificationError:
     name = "overshoot_percent" if wanted == "overshoot" else wanted
-    has = f"has {getattr(nearest, name):.4g} {WANTED[wanted]}" if nearest.stable else "is unstable"
+    shown, unit = nearest.velocity_loop.axis.units.quantity, WANTED[wanted]
+    has = f"has {shown(getattr(nearest, name), unit)}" if nearest.stable else "is unstable"
     return SpecificationError(
-        f"position loop: no gain has the {wanted} of {value:g} {WANTED[wanted]} around this velocity loop; nearest: "
+        f"position loop: no gain has the {wanted} of {shown(value, unit, 'g')} around this velocity loop; nearest: "
         f"kp {nearest.kp:.4g} 1/s, which {has}",
         {"kp": nearest.kp},
     )

@@ -18,7 +18,7 @@ from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
 from emps_design.discrepancy.view import diagnosis_view
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.quantities import inside, rounded
-from emps_design.units import Units
+from emps_design.units import LINEAR, Units
 from emps_design.view import View, Viewed
 
 SCHEMA = "emps-design/diagnosis/1"
@@ -45,12 +45,14 @@ class Finding:
     remedy: str = ""
     note: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
-        """The contract's entry of ``findings``."""
+    def to_dict(self, units: Units = LINEAR) -> dict[str, Any]:
+        """The contract's entry of ``findings``, with the ``units`` of the axis."""
         entry = {
             "equivalents": list(self.equivalents),
             "where": {"channel": self.channel, **self.where},
-            "parameters": {name: dict(table) for name, table in self.parameters.items()},
+            "parameters": {
+                name: {**table, "unit": units.unit(table["unit"])} for name, table in self.parameters.items()
+            },
             "confirmed": None if self.confirmed is None else dict(self.confirmed),
         }
         names = ("effect", "label", *entry, "p_value", "gap_before", "gap_after", "note")
@@ -208,7 +210,7 @@ class Diagnosis(Viewed):
             "schema": SCHEMA,
             "verdict": self.verdict,
             "sentence": self.sentence,
-            "findings": [finding.to_dict() for finding in self.findings],
+            "findings": [finding.to_dict(self.axis.units) for finding in self.findings],
             "gap": gap,
             "gap_inverse_60hz": inverse,
             "model_file": self.model_file,

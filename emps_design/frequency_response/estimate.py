@@ -164,7 +164,7 @@ class ResponseEstimate(Viewed):
             "reversals": self.reversals,
             "rest_share": self.rest_share,
             "lines_left_out": self.left_out,
-            "units": {"frequency_hz": "Hz", "magnitude": "(m/s)/N", "std": "of the modulus"},
+            "units": {"frequency_hz": "Hz", "magnitude": self.axis.units.unit("(m/s)/N"), "std": "of the modulus"},
             "warnings": list(self.all_warnings),
         }
 

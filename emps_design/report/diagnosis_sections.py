@@ -9,6 +9,8 @@ import numpy as np
 
 from emps_design.discrepancy.acceptance import explained
 from emps_design.discrepancy.residual_views import SPECTRAL
+from emps_design.effects import get_effect, kind_of
+from emps_design.errors import EmpsError
 from emps_design.quantities import inside, share_asked
 from emps_design.report.page import (
     NOTHING,
@@ -213,6 +215,15 @@ def _label(finding: Mapping[str, Any]) -> str:
     return finding.get("label") or words(finding["effect"])
 
 
+def _base_unit(finding: Mapping[str, Any], name: str, entry: Mapping[str, Any]) -> str:
+    """The unit of a parameter on a linear axis, from which the page chooses one that is easy to read."""
+    try:
+        parameters = get_effect(kind_of(finding["effect"])).parameters
+    except EmpsError:  # of an effect that is not known here
+        return str(entry.get("unit", ""))
+    return next((parameter.unit for parameter in parameters if parameter.name == name), str(entry.get("unit", "")))
+
+
 def in_plain_words(document: Mapping[str, Any]) -> str:
     """Return the answer for a reader who is no control engineer: what was found, and how much it explains."""
     findings, unexplained = document["findings"], document.get("unexplained")
@@ -322,8 +333,8 @@ def findings_section(findings: Sequence[Mapping[str, Any]], units: Units) -> Sec
         [
             _label(finding),
             units.words(words(name)),
-            with_std(entry.get("value"), entry.get("std"), entry.get("unit", ""), units),
-            interval(entry.get("value"), entry.get("std"), entry.get("unit", ""), units),
+            with_std(entry.get("value"), entry.get("std"), _base_unit(finding, name, entry), units),
+            interval(entry.get("value"), entry.get("std"), _base_unit(finding, name, entry), units),
             finding.get("where", {}).get("record", "this record") if entry.get("per_record") else "the machine",
         ]
         for finding in findings
