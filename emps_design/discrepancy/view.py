@@ -22,9 +22,9 @@ def diagnosis_view(document: dict[str, Any], units: Units) -> View:
     after += [f"Remedy: {remedy}" for remedy in document["remedies"]]
     return (
         Line(document["verdict"], "strong"),
-        Line(units.text(document["sentence"])),
+        Line(document["sentence"]),
         *([_findings(document["findings"], units)] if document["findings"] else []),
-        *(Line(units.text(text)) for text in after),
+        *(Line(text) for text in after),
     )
 
 
@@ -35,9 +35,9 @@ def _findings(findings: list[dict[str, Any]], units: Units) -> Table:
     headings = ("effect", "or", "where", f"gap [{force}]", f"after [{force}]", "confirmed" if confirmed else "p")
     rows = [
         (
-            units.text(finding["label"]),
+            finding["label"],
             ", ".join(finding["equivalents"]) or None,
-            units.text(finding["where"]["text"]),
+            finding["where"]["text"],
             rounded(finding["gap_before"], 3),
             rounded(finding["gap_after"], 3),
             _share(finding["confirmed"]) if confirmed else f"{finding['p_value']:.3f}",

@@ -95,7 +95,7 @@ def observation_view(document: Document, units: Units) -> View:
             f"Smallest observable {force} [{unit}], and what bounds it",
             words=("set by",),
         ),
-        *(Line(f"{_word(bound)}: {units.text(reason)}") for bound, reason in least["reasons"].items()),
+        *(Line(f"{_word(bound)}: {reason}") for bound, reason in least["reasons"].items()),
     )
 
 

@@ -261,7 +261,7 @@ def _judged(assessed: ImpedanceAssessment) -> dict[str, Any]:
     from emps_design.comanipulation.study import CALM
     from emps_design.report.impedance import refusal
 
-    headline = assessed.axis.units.text(assessed.headline)
+    headline = assessed.headline
     said = {"notes": (), "cautions": (), "stops": () if assessed.stable else (refusal(assessed),)}
     if assessed.verdict in CALM:
         return {**said, "notes": (f"Impedance law, {headline}.",)}

@@ -139,16 +139,16 @@ def _stops(results: DesignResults) -> list[Callout]:
     stops = []
     if not velocity.sampled.stable:
         less = (
-            f"{sentence_of(units.text(velocity.reason))} The margins of the continuous loop below say nothing about "
+            f"{sentence_of(velocity.reason)} The margins of the continuous loop below say nothing about "
             "this drive: sample faster, remove delay, or ask for less."
         )
         stops.append(Callout("stop", "with these gains the sampled velocity loop is unstable.", less))
     elif not results.verdict.stable:
-        stops.append(Callout("stop", sentence_of(units.text(results.verdict.reason))))
+        stops.append(Callout("stop", sentence_of(results.verdict.reason)))
     if force is not None and not force.worst.margins.stable:
         gain = quantity(force.k_e1, "(m/s)/N", 4, units)
         title = f"the {units.words(force.worst.name)} is unstable at k_e1 = {gain}."
-        stops.append(Callout("stop", title, sentence_of(units.text(force.reason))))
+        stops.append(Callout("stop", title, sentence_of(force.reason)))
     return [*stops, *(Callout("stop", stop) for stop in results.stops)]
 
 

@@ -103,7 +103,7 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         kept = replace(old, axis=after).sampled
         expected, really, better = old.sampled.margins, kept.margins, new.sampled.margins
     except EmpsError as error:
-        return [_row("velocity loop", None, None, units.text(str(error)))]
+        return [_row("velocity loop", None, None, str(error))]
     specification = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
     rows = [
         _row("k_v1", quantity(old.k_v1, "V/(m/s)", 4, units), quantity(new.k_v1, "V/(m/s)", 4, units), specification),

@@ -252,7 +252,7 @@ def impedance_section(assessment: ImpedanceAssessment) -> Section:
 def refusal(assessment: ImpedanceAssessment) -> str:
     """Return in words why the law must not run; empty unless the verdict is unstable or a limit cycle."""
     words = {"unstable": "is unstable", "limit_cycle": "ends in a limit cycle"}.get(assessment.verdict)
-    why = assessment.axis.units.text(assessment.reason.partition(": ")[2])
+    why = assessment.reason.partition(": ")[2]
     return f"the impedance law {words}: {why}" if words else ""
 
 
@@ -263,7 +263,7 @@ def _verdict(assessment: ImpedanceAssessment) -> Callout:
         title, _, body = refusal(assessment).partition(": ")
         return Callout("stop", f"{title}.", body)
     tried = "" if assessment.study is not None else " Errors of the estimates were not tried."
-    headline = sentence_of(assessment.axis.units.text(assessment.headline))
+    headline = sentence_of(assessment.headline)
     return Callout("good" if assessment.verdict in CALM else "warning", headline + tried)
 
 
@@ -426,7 +426,7 @@ def _mismatch_blocks(assessment: ImpedanceAssessment, study: MismatchStudy, mism
             "neither unstable nor in a limit cycle",
             f"{100 * mismatch['bounded_share']:.4g} %{_interval(mismatch['bounded_share_interval'])}",
         ],
-        *([f"with {units.text(case['what'])}", case["verdict"].replace("_", " ")] for case in mismatch["beyond"]),
+        *([f"with {case['what']}", case["verdict"].replace("_", " ")] for case in mismatch["beyond"]),
         ["creep after release, at most", quantity(mismatch["creep_speed"], "m/s", 4, units)],
         ["dead band, at most", quantity(mismatch["dead_band"], "N", 4, units)],
         ["Coulomb factor that rules creep out", number(mismatch["coulomb_factor_without_creep"])],

@@ -420,7 +420,7 @@ def response_blocks(comparison: ResponseComparison, ratio: np.ndarray | None = N
             "the 95 % band of the data.",
             "Measured frequency response",
         ),
-        Text(f"{comparison.axis.name}: {units.text(comparison.agreement.sentence)}."),
+        Text(f"{comparison.axis.name}: {comparison.agreement.sentence}."),
         _chain_table(comparison.chain, units),
         Callout("warning", "What the data do not say", items=warnings) if warnings else None,
     )

@@ -246,7 +246,7 @@ def advice_callout(advice: Advice, units: Units) -> Callout:
     """Return the box with the advice on a result of an axis with ``units``."""
     level, title = LEVELS[advice.level]
     further = (html("Next: <code>{}</code>", advice.next),) if advice.next else ()
-    return Callout(level, title, sentence_of(units.text(advice.text)), further)
+    return Callout(level, title, sentence_of(advice.text), further)
 
 
 def _known(value: float | None) -> TypeGuard[float]:

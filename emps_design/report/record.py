@@ -113,7 +113,7 @@ def record_section(record: Record, identifications: Sequence[Identification], ax
         f"Record {record.name}",
         Text(
             f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all. "
-            f"Filter {first.chain}: {axis.units.text(first.filter_text)}."
+            f"Filter {first.chain}: {first.filter_text}."
         ),
         Picture(
             record_figure(record, axis.units),
@@ -284,10 +284,10 @@ def observation_blocks(observation: Observation, units: Units) -> tuple[Any, ...
 
 def law_blocks(estimate: LawEstimate, units: Units) -> tuple[Any, ...]:
     """Return the blocks of a page about a control law in ``units``: verdict, table, deviations, residual, notes."""
-    reason, notes = units.text(estimate.reason), [units.text(note) for note in estimate.notes]
+    reason, notes = estimate.reason, list(estimate.notes)
     if estimate.controller is None:
         if estimate.closest:
-            near = f"The closest law, which is not the machine's: {units.text(estimate.closest_in_words)}."
+            near = f"The closest law, which is not the machine's: {estimate.closest_in_words}."
             notes.insert(0, near)
         return (Callout("warning", f"{estimate.verdict}: {reason}."), *map(Text, notes))
     numbers = estimate.numbers

@@ -342,7 +342,7 @@ def force_section(force: ForceLoopDesign) -> Section:
     def margin(shown: str) -> str:
         return shown if force.stable else "unstable"
 
-    reading = units.text(str(force.paper_reading["text"]))
+    reading = str(force.paper_reading["text"])
     warnings = [warning for warning in force.warnings if "unstable" not in warning]
     rows = [
         [Html(symbol("k_e1")), quantity(force.k_e1, "(m/s)/N", 4, units), f"velocity per {units.word('newton')}"],

@@ -371,7 +371,7 @@ class CompensationView:
             f"with what is kept ({ratio:,.0f} times less), {compensation.worst:.3g} with every parameter wrong; "
             f"controller: {self.controller.value}, {compensation.axis.controller.kind.replace('_', ' ')}."
         )
-        lines = (text, *more, *(units.text(remedy["advice"]) for remedy in compensation.feedback))
+        lines = (text, *more, *(remedy["advice"] for remedy in compensation.feedback))
         shown = "".join(f"<br>{inline(line)}" for line in lines)
         self.message.object = judgement(sentence_of(advice.text), LEVELS[advice.level][0], shown)
         headings = ("term", f"alone [{compensation.unit}]", "all but it", "all, it wrong", "")
