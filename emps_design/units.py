@@ -67,18 +67,7 @@ _UNIT = (
     r"|kg m\^2|kg|[mk]?[NV]|[nµum]?m|1/m)(?![\w^(%]|/[\w(]| m\b)"
 )
 _TAKE_A_PREFIX = ("V", "A")  # of the units of a command
-_NUMBER = r"[-+−]?(?:\d+\.?\d*|\.\d+)(?:e[-+−]?\d+)?"
-_QUANTITY = re.compile(rf"(?<![\w.])({_NUMBER}(?:(?: \+- | ± | to |–|, | and ){_NUMBER})*) ({_UNIT})")
-_BEFORE = r"(?<=[\])] )|(?<=unbounded )|(?<=per )|(?<=\bin )"
-_AFTER = re.compile(rf"(?:{_BEFORE}|(?<=, )(?={_UNIT}$)|^(?={_UNIT}(?:$| rms)))({_UNIT})")
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]")
-# Not prose: drawings, styles, code, text of others and quotations, tags, arguments and commands.
-_CODE = re.compile(
-    r"(<svg\b.*?</svg>|<style\b.*?</style>|<pre\b.*?</pre>|<code\b.*?</code>"
-    r"|(?<!\w)'[^'\n]{1,80}'(?!\w)|<span translate=\"no\">.*?</span>|</?[a-z][^<>]*>"
-    r"|\x60[^\x60]*\x60|emps-design \w+)",
-    re.DOTALL,
-)
 
 
 def spelled(unit: str) -> str:
@@ -227,40 +216,6 @@ class Units:
         prefixed = base[:2] in _PREFIXED and base[1] == "V" and self.command_unit not in _TAKE_A_PREFIX
         return f"{_PREFIXED[base[:2]]:g} {self.command_unit}" if prefixed else self.unit(base)
 
-    def text(self, text: str) -> str:
-        """``text`` in this axis's words, with numbers in its units.
-
-        >>> Units("rotary", "current", "A").text("force error 1.20 N rms, below 12 mm/s; at most 10.0 V")
-        'torque error 1.20 N m rms, below 0.69 deg/s; at most 10.0 A'
-        >>> Units(command="torque", command_unit="%").text("12.3 mV of noise, mass 60.5 kg")
-        '0.0123 % of noise, mass 60.5 kg'
-        >>> Units("rotary", "current", "mA").text("12 mV of noise, at most 3 V")  # no milli of milliamperes
-        '0.012 mA of noise, at most 3 mA'
-        """
-        if self.plain:
-            return text
-        return "".join(part if i % 2 else self._prose(part) for i, part in enumerate(_CODE.split(text)))
-
-    def value(self, text: str) -> str:
-        """``text`` of a JSON document: as :meth:`text`, but a single word, which may be a name, stays."""
-        return self.text(text) if " " in text or re.fullmatch(_UNIT, text) else text
-
-    def _prose(self, text: str) -> str:
-        if re.fullmatch(_UNIT, text):
-            return self._whole(text)
-        text = _QUANTITY.sub(self._quantity, text)
-        text = _AFTER.sub(lambda match: self._whole(match[1]), text)
-        return self.label(text)
-
-    def _quantity(self, match: re.Match[str]) -> str:
-        numbers, base = match[1], match[2]
-        unit, factor = self.read(base)
-        if factor != 1.0:
-            numbers = re.sub(_NUMBER, lambda number: _scaled(number[0], factor), numbers)
-        turning = self.rotary and base == "m/s" and re.fullmatch(_NUMBER, numbers)
-        rpm = f" ({_scaled(numbers, 1.0 / _RPM)} rpm)" if turning and abs(_float(numbers)) >= 0.1 else ""
-        return f"{numbers} {unit}".rstrip() + rpm
-
     def quantity(self, value: float, base: str, spec: str | Callable[[float], str] = ".4g") -> str:
         """``value`` [SI of ``base``] with its unit on this axis; ``base`` may have a prefix, such as mm or mV.
 
@@ -384,18 +339,6 @@ class Units:
 
 
 LINEAR = Units()  # a linear axis with a voltage command, for which the library computes
-
-
-def _float(number: str) -> float:
-    return float(number.replace("−", "-"))
-
-
-def _scaled(number: str, factor: float) -> str:
-    """``number`` times ``factor`` as text, with the same number of significant digits, at least two."""
-    digits = len(re.sub(r"e.*|[^\d]", "", number).lstrip("0"))
-    value = _float(number) * factor
-    text = f"{value:.{max(2, digits)}g}"
-    return text.replace("-", "−") if "−" in number else text
 
 
 def check_command_unit(command: str, unit: str) -> str:

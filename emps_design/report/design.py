@@ -196,7 +196,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
             )
         )
     warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]
-    warnings = [*results.cautions, *map(units.text, (*results.verdict.warnings, *warnings))]
+    warnings = [*results.cautions, *results.verdict.warnings, *warnings]
     if warnings:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
     return tuple(blocks)

@@ -177,7 +177,7 @@ def candidates_figure(candidates: Sequence[Mapping[str, Any]], gap: Mapping[str,
     shown, baseline = fitted[:12], (gap.get("train") or {}).get("baseline")
     limit = 1.5 * max([baseline or 0.0, *(c["gap"] for c in shown if c.get("accepted"))]) or None
     lines = [(baseline, RED, "--", "model as it was"), (gap.get("floor"), GREY, ":", "noise floor")]
-    return _bars(shown, [c["gap"] for c in shown], "force error left [N rms]", " N", limit, lines)
+    return _bars(shown, [c["gap"] for c in shown], "force error left [N rms]", f" {gap.get('unit', 'N')}", limit, lines)
 
 
 def _bars(
@@ -563,7 +563,7 @@ def method_section(document: Mapping[str, Any], units: Units) -> Section:
     if document.get("assumptions"):
         blocks.append(Points(document["assumptions"]))
     if document.get("warnings"):
-        blocks.append(Callout("warning", "Warnings", items=tuple(map(units.text, document["warnings"]))))
+        blocks.append(Callout("warning", "Warnings", items=tuple(document["warnings"])))
     inputs = dict(document.get("inputs") or {r["name"]: r.get("sha256") for r in document.get("records", ())})
     if inputs:
         blocks.append(inputs_table(inputs))

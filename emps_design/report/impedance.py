@@ -244,7 +244,7 @@ def impedance_section(assessment: ImpedanceAssessment) -> Section:
     blocks.append(_errata_table())
     if document["warnings"]:
         blocks.append(
-            Callout("warning", "To read with the numbers", items=tuple(map(units.text, document["warnings"])))
+            Callout("warning", "To read with the numbers", items=tuple(document["warnings"]))
         )
     return Section("Impedance law", *blocks)
 

@@ -412,7 +412,7 @@ def response_figure(comparison: ResponseComparison, ratio: np.ndarray | None = N
 def response_blocks(comparison: ResponseComparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
     """Return the picture of a response beside the model, the agreement in words, the fitted masses, and warnings."""
     units = comparison.axis.units
-    warnings = tuple(map(units.text, (*comparison.response.warnings, *comparison.chain.warnings)))
+    warnings = (*comparison.response.warnings, *comparison.chain.warnings)
     return (
         Picture(
             response_figure(comparison, ratio),

@@ -138,7 +138,7 @@ def identification_blocks(identification: Identification, axis: Axis) -> tuple[A
 
 
 def _warnings(warnings: Sequence[str], units: Units) -> Callout | None:
-    items = tuple(map(units.text, warnings))
+    items = tuple(warnings)
     return Callout("warning", "What the record says about itself", items=items) if items else None
 
 
@@ -216,7 +216,7 @@ def _quality_table(identifications: Sequence[Identification], units: Units) -> T
 def import_page(account: Account) -> Page:
     """Return the page on an import: the columns as they were read, and a picture of the record."""
     record, units = account.record, account.axis.units
-    warnings = tuple(map(units.text, account.notes))
+    warnings = tuple(account.notes)
     notes = Callout("warning", "What was done and noticed", items=warnings)
     section = Section(
         f"Record {record.name}",
@@ -265,7 +265,7 @@ def observation_blocks(observation: Observation, units: Units) -> tuple[Any, ...
         ]
         for name, method in observation.methods.items()
     ]
-    warnings = tuple(map(units.text, observation.warnings))
+    warnings = tuple(observation.warnings)
     return (
         Picture(
             observation_figure(observation),

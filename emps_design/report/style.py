@@ -238,7 +238,7 @@ def labelled(figure: Figure, units: Units) -> Figure:
             _rescale(axis, units)
     for text in figure.findobj(Text):
         written = text.get_text()
-        if (own := units.text(written)) != written:
+        if (own := units.label(written)) != written:
             text.set_text(own)
     return figure
 

@@ -387,7 +387,7 @@ def force_section(force: ForceLoopDesign) -> Section:
             "included.",
             f"{word.capitalize()} loop in contact",
         ),
-        Callout("warning", "To read with the numbers", items=tuple(map(units.text, warnings))) if warnings else None,
+        Callout("warning", "To read with the numbers", items=tuple(warnings)) if warnings else None,
     )
 
 

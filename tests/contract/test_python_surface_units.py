@@ -28,6 +28,7 @@ from emps_design import (
 )
 from emps_design.comanipulation.assessment import assess_impedance
 from emps_design.importing import layout_of
+from tests.rewriting import rewritten
 
 PD = {"kind": "position_pd", "kp": 22.0, "kv": 7.6}
 JOINT = {
@@ -103,7 +104,7 @@ def untranslated(axis: Axis, texts: Iterable[str]) -> list[str]:
     places = []
     for text in texts:
         words = text.replace(" m or rad", "").split()  # of a record, which has no axis
-        own = axis.units.text(" ".join(words)).split()
+        own = rewritten(axis.units, " ".join(words)).split()
         changes = SequenceMatcher(None, words, own, autojunk=False).get_opcodes() if own != words else []
         places += [" ".join(words[max(0, i - 5) : j + 5]) for what, i, j, _, _ in changes if what != "equal"]
     return places

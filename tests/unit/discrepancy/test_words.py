@@ -15,6 +15,7 @@ from emps_design.discrepancy.words import changed, filled, label_of, worded
 from emps_design.effects import Motion, known_effects
 from emps_design.errors import InputError, RecordError
 from emps_design.simulation.synthetic import synthetic_record
+from tests.rewriting import rewritten
 
 KINDS = {
     "linear, V": ("linear", {"command": "voltage"}),
@@ -103,11 +104,11 @@ def drawn(axis, record) -> list[str]:
 
 def test_nothing_has_to_be_rewritten(axis, record):
     said = [*messages(axis, record), *drawn(axis, record)]
-    assert [axis.units.text(text) for text in said] == said
+    assert [rewritten(axis.units, text) for text in said] == said
 
 
 def test_they_are_those_of_the_linear_axis_in_other_words(axis, record):
-    linear = [axis.units.text(text) for text in drawn(axis_of("linear, V"), record)]
+    linear = [rewritten(axis.units, text) for text in drawn(axis_of("linear, V"), record)]
     assert drawn(axis, record) == linear
     assert ("motor torque" in linear) == axis.units.rotary
 

@@ -21,6 +21,7 @@ from emps_design.importing.sanity import check_against
 from emps_design.records.layout import MAPPED, Assignment
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.units import LINEAR
+from tests.rewriting import rewritten
 from tests.unit.discrepancy.test_words import KINDS, axis_of, refused
 
 
@@ -79,7 +80,7 @@ def warnings(axis, record) -> list[str]:
 
 def test_no_message_is_of_another_machine(axis, record):
     messages = [*refusals(axis, record), *warnings(axis, record)]
-    assert [axis.units.text(message) for message in messages] == messages
+    assert [rewritten(axis.units, message) for message in messages] == messages
 
 
 def test_the_messages_are_those_of_the_linear_axis_in_the_units_of_this_one(axis):
@@ -88,4 +89,4 @@ def test_the_messages_are_those_of_the_linear_axis_in_the_units_of_this_one(axis
         below_zero = Limits(0.5, force=-1.0), ExcitationRequest(0.3), 100.0, 500.0, units
         return [*bare, lumped(units), refused(InputError, check_request, *below_zero)]
 
-    assert made(axis.units) == [axis.units.text(message) for message in made(LINEAR)]
+    assert made(axis.units) == [rewritten(axis.units, message) for message in made(LINEAR)]

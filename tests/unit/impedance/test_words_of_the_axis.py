@@ -24,6 +24,7 @@ from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
 from emps_design.simulation.scenarios import _no_break_away, breakaway, force_ramp
 from emps_design.simulation.view import scenario_view
+from tests.rewriting import rewritten
 
 KINDS = {
     "linear, V": ("linear", {"command": "voltage"}),
@@ -143,7 +144,7 @@ def of_loops_and_observers(axis: Axis) -> list[str]:
 @pytest.mark.parametrize("said", [cautions, verdicts, of_simulations, of_loops_and_observers])
 def test_nothing_has_to_be_rewritten(axis, said):
     messages = said(axis)
-    assert [axis.units.text(text) for text in messages] == messages
+    assert [rewritten(axis.units, text) for text in messages] == messages
 
 
 def test_a_rotary_axis_with_a_current_has_its_own_units():
@@ -170,7 +171,7 @@ def test_a_run_and_its_file_have_the_units_of_the_axis(axis, tmp_path):
         (table,) = one.view()
         words = [text for name, _, unit in table.rows for text in (name, unit)]
         words += [text for signal in one.to_dict()["signals"].values() for text in signal.values()]
-        assert [axis.units.text(text) for text in words] == words
+        assert [rewritten(axis.units, text) for text in words] == words
 
 
 def test_a_document_has_the_units_of_its_axis_and_its_view_readable_ones():

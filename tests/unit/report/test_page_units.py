@@ -19,6 +19,7 @@ from emps_design.report.page import interval, quantity, with_std
 from emps_design.report.record import law_blocks, observation_blocks
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.units import LINEAR, Units
+from tests.rewriting import rewritten
 
 KINDS = {
     "linear, V": ("linear", {"command": "voltage"}),
@@ -53,7 +54,7 @@ def record(axis):
 def check(written: str, units: Units) -> None:
     """Nothing in ``written`` would be rewritten, but the metre of a newton metre."""
     kept = written.replace("newton metre", "")
-    assert units.text(kept) == kept
+    assert rewritten(units, kept) == kept
 
 
 def test_nothing_on_the_page_of_a_report_has_to_be_rewritten(axis, record, sketched, few_estimates):
