@@ -57,7 +57,6 @@ BEYOND = "numbers too far apart to compute with; check the units in the axis, th
 def run(arguments: list[str]) -> int:
     """Run the command line on ``arguments`` and return the exit status of the contract."""
     debug = "--debug" in arguments
-    as_json = "--json" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     terminal = Terminal(tuple(arguments))
     try:
@@ -69,18 +68,7 @@ def run(arguments: list[str]) -> int:
     except EmpsError as error:
         if debug:
             raise
-        if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
-            terminal.print_json(
-                {
-                    "error": type(error).__name__,
-                    "reason": str(error),
-                    "nearest": getattr(error, "nearest", {}),
-                    "warnings": [str(error)],
-                    "advice": terminal.advice_on_error(error),
-                }
-            )
-        terminal.tell(error)
-        return error.exit_code
+        return _refused(error, terminal, "--json" in arguments)
     except BrokenPipeError:
         _discard_output()  # the reader has closed the pipe (`| head`)
         return 1
@@ -91,25 +79,53 @@ def run(arguments: list[str]) -> int:
         terminal.tell(f"{error.filename or 'output'}: {error.strerror or error} (run with --debug for the traceback)")
         return 1
     except Exception as error:
-        # Usage errors and Ctrl-C at a prompt come from click or from typer's copy of it: the names are the same.
-        if type(error).__name__ == "Abort":
-            terminal.tell("interrupted")
-            return INTERRUPTED
-        if hasattr(error, "format_message"):
-            message = " ".join(error.format_message().split())
-            if message:
-                terminal.tell(f"{message}; see 'emps-design --help'")
-            return 2
-        if debug:
+        if debug and not _is_usage(error):
             raise
-        if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
-            terminal.tell(f"{BEYOND} ({type(error).__name__}: {error})")
-            return InputError.exit_code
-        terminal.tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
-        return 1
+        return _failed(error, terminal)
     except KeyboardInterrupt:
         terminal.tell("interrupted")
         return INTERRUPTED
+
+
+def _refused(error: EmpsError, terminal: Terminal, as_json: bool) -> int:
+    """Print why the library refused, with a design's document where JSON is asked for; its exit status."""
+    if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
+        terminal.print_json(
+            {
+                "error": type(error).__name__,
+                "reason": str(error),
+                "nearest": getattr(error, "nearest", {}),
+                "warnings": [str(error)],
+                "advice": terminal.advice_on_error(error),
+            }
+        )
+    terminal.tell(error)
+    return error.exit_code
+
+
+def _is_usage(error: Exception) -> bool:
+    """Whether ``error`` is of the words of the command line, or Ctrl-C at a prompt.
+
+    They come from click or from typer's copy of it: the names are the same.
+    """
+    return type(error).__name__ == "Abort" or hasattr(error, "format_message")
+
+
+def _failed(error: Exception, terminal: Terminal) -> int:
+    """Print an ``error`` that is none of the library's own; its exit status."""
+    if type(error).__name__ == "Abort":
+        terminal.tell("interrupted")
+        return INTERRUPTED
+    if hasattr(error, "format_message"):
+        message = " ".join(error.format_message().split())
+        if message:
+            terminal.tell(f"{message}; see 'emps-design --help'")
+        return 2
+    if isinstance(error, ArithmeticError) or type(error).__name__ == "LinAlgError":
+        terminal.tell(f"{BEYOND} ({type(error).__name__}: {error})")
+        return InputError.exit_code
+    terminal.tell(f"{type(error).__name__}: {error} (run with --debug for the traceback)")
+    return 1
 
 
 def _result(arguments: list[str], terminal: Terminal) -> Any:
@@ -136,19 +152,39 @@ def _application(arguments: list[str], terminal: Terminal) -> typer.Typer:
     For an option of the program itself, such as ``--help``, no module is imported: :data:`GROUPS` has the sentences.
     """
     import typer
-    from typer.core import TyperGroup
+
+    app = typer.Typer(
+        name="emps-design",
+        cls=_in_groups(),
+        help="From a measured record of a one-axis drive to gains, a report, and the physics the model lacks.",
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
 
     def print_version(requested: bool) -> None:
         if requested:
             typer.echo(f"emps-design {__version__}")
             raise typer.Exit
 
+    @app.callback()
     def root(
         version: bool = typer.Option(
             False, "--version", is_eager=True, callback=print_version, help="Show the version and exit."
         ),
     ) -> None:
         pass
+
+    wanted = arguments[0] if arguments else ""
+    for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
+        register_command(app, name, terminal)
+    return app
+
+
+def _in_groups() -> Any:
+    """The class of the program: its help has the commands in the order of the work."""
+    from typer.core import TyperGroup
 
     class Grouped(TyperGroup):
         """Commands in the order of the work."""
@@ -158,17 +194,4 @@ def _application(arguments: list[str], terminal: Terminal) -> typer.Typer:
                 with formatter.section(title):
                     formatter.write_dl(list(commands.items()))
 
-    app = typer.Typer(
-        name="emps-design",
-        cls=Grouped,
-        help="From a measured record of a one-axis drive to gains, a report, and the physics the model lacks.",
-        add_completion=False,
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
-    )
-    app.callback()(root)
-    wanted = arguments[0] if arguments else ""
-    for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
-        register_command(app, name, terminal)
-    return app
+    return Grouped

@@ -243,9 +243,7 @@ def impedance_section(assessment: ImpedanceAssessment) -> Section:
         blocks += _mismatch_blocks(assessment, assessment.study, document["mismatch"])
     blocks.append(_errata_table())
     if document["warnings"]:
-        blocks.append(
-            Callout("warning", "To read with the numbers", items=tuple(document["warnings"]))
-        )
+        blocks.append(Callout("warning", "To read with the numbers", items=tuple(document["warnings"])))
     return Section("Impedance law", *blocks)
 
 
