@@ -291,7 +291,7 @@ def _unsafe(worst: Mapping[str, Any] | None, units: Units) -> str:
 
 
 def _loop(worst: Mapping[str, Any], units: Units) -> str:
-    return " ".join(filter(None, (worst["name"], where_in_words(worst.get("where", {}), units))))
+    return " ".join(filter(None, (units.words(worst["name"]), where_in_words(worst.get("where", {}), units))))
 
 
 def _has(worst: Mapping[str, Any], units: Units) -> str:

@@ -26,7 +26,7 @@ def _parts(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     yield Line(f"released: {released}; simulated with encoder and limit: {simulated}")
     yield _felt(document, units)
     if study is not None:
-        yield _under_mismatch(study, units)
+        yield from _under_mismatch(study, units)
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
         stable = "stable" if loop["sampled"]["stable"] else "UNSTABLE"
@@ -53,7 +53,7 @@ def _felt(document: dict[str, Any], units: Units) -> Table:
     return Table(("", *map(units.label, columns.values())), rows, "Felt, with an ideal current loop")
 
 
-def _under_mismatch(study: dict[str, Any], units: Units) -> Table:
+def _under_mismatch(study: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     """What the simulated plants do whose estimates are wrong."""
     speed, factor = units.read("mm/s")
     creep, free = (1e3 * factor * study[key] for key in ("creep_speed", "creep_speed_exact_encoder"))
@@ -70,11 +70,14 @@ def _under_mismatch(study: dict[str, Any], units: Units) -> Table:
         ("Coulomb factor without creep", "none" if coulomb is None else f"{coulomb:.4f}"),
         ("plants that come to rest", f"{100 * study['stable_share']:.2f} %{interval}"),
         ("neither unstable nor cycling", f"{100 * study['bounded_share']:.2f} %"),
-        ("verdicts", ", ".join(f"{count} {_spaced(name)}" for name, count in study["verdicts"].items() if count)),
-        ("worst", f"{_spaced(worst['verdict'])} at {errors}"),
-        *((f"corners with {case['what']}", _spaced(case["verdict"])) for case in study["beyond"]),
     ]
-    return Table(("mismatch", heading), rows, words=(heading,))
+    verdicts = ", ".join(f"{count} {_spaced(name)}" for name, count in study["verdicts"].items() if count)
+    yield Table(("mismatch", heading), rows, words=(heading,))
+    beyond = [(case["what"], _spaced(case["verdict"])) for case in study["beyond"]]
+    if beyond:
+        yield Table(("the corners, with", "worst verdict"), beyond, words=("worst verdict",))
+    yield Line(f"verdicts: {verdicts}")
+    yield Line(f"worst: {_spaced(worst['verdict'])} at {errors}")
 
 
 def law_in_words(law: dict[str, Any], units: Units) -> str:

@@ -363,7 +363,7 @@ def _sampled_table(document: Mapping[str, Any], units: Units) -> Table:
             "without friction, its compensation and the encoder",
         ],
         [
-            Html(f"equivalent {force} loop {symbol('k_e1')}"),
+            html("equivalent {} loop {}", force, Html(symbol("k_e1"))),
             "none" if loop["k_e1"] is None else quantity(loop["k_e1"], "(m/s)/N", 4, units),
             f"{loop['criterion'].replace('_', ' ')} match"
             + ("" if loop["k_e1"] is None or loop["sampled"]["stable"] else "; unstable on this drive"),

@@ -35,6 +35,7 @@ from emps_design.report.page import (
     angle,
     delay,
     frequency,
+    html,
     number,
     quantity,
     ratio,
@@ -256,7 +257,10 @@ def _mismatch_table(study: dict[str, Any], mismatch: float, units: Units) -> Tab
     ]
     if study["gains"]:
         rows += [
-            [Html(f"{symbol(name)} for the same request"), *(quantity(x, unit, 4, units) for x in study["gains"][name])]
+            [
+                html("{} for the same request", Html(symbol(name))),
+                *(quantity(x, unit, 4, units) for x in study["gains"][name]),
+            ]
             for name, unit in (("k_v1", "V/(m/s)"), ("t_v", "s"))
         ]
     stable = "all" if study["stable_share"] == 1.0 else f"{100 * study['stable_share']:.3g} %"

@@ -135,7 +135,7 @@ def test_every_long_command_runs(name, size, record, tmp_path, capsys, monkeypat
     # A diagnosis leaves the axis's own effects out: of all effects and sizes it would be the same search of one
     # record each time.
     alone = {effect.name: effect for effect in EFFECTS if effect.name == name}
-    monkeypatch.setattr(importlib.import_module("emps_design.discrepancy.diagnose"), "known_effects", lambda: alone)
+    monkeypatch.setattr(importlib.import_module("emps_design.discrepancy.diagnosis"), "known_effects", lambda: alone)
     lines = SIMULATED | LAW | LONG | REPORT
     if size != "typical":
         del lines["diagnose"]

@@ -90,8 +90,8 @@ def test_the_command_writes_it_and_takes_an_old_one_away(described, tmp_path, mo
     _, answer = described
     asked = []
     monkeypatch.setattr(
-        "emps_design.discrepancy.diagnosis",
-        lambda *records, closest, **options: asked.append(closest) or (answer if closest else healthy),
+        "emps_design.discrepancy.diagnose",
+        lambda request: asked.append(request.closest) or (answer if request.closest else healthy),
     )
     healthy = diagnose(record(), AXIS, library=LIBRARY)
     record().save(tmp_path / "run.npz")

@@ -223,7 +223,7 @@ def test_instruments_tell_a_mass_that_noise_hides_from_least_squares():
     assert found.estimator == "instrumental_variables"
     low, high = found.parameters["mass"].interval_95
     assert low < 0.02 < high < 1.1 * low
-    assert any("mass: the reference explains" in text and "of its column" in text for text in found.warnings)
+    assert any("inertia: the reference explains" in text and "of its column" in text for text in found.warnings)
 
 
 def test_a_force_that_does_not_repeat_is_said_where_it_is_much(record):

@@ -65,7 +65,7 @@ def test_nothing_on_the_page_of_a_report_has_to_be_rewritten(axis, record, sketc
 
 
 def test_nothing_in_a_law_and_an_observation_has_to_be_rewritten(axis, record, sketched):
-    blocks = law_blocks(identify_law(record, axis.drive.command_unit), axis.units)
+    blocks = law_blocks(identify_law(record, axis.units), axis.units)
     blocks += observation_blocks(observe(record, axis), axis.units)
     check(Page("", "", (), (Section("Result", *blocks),), units=axis.units).html(), axis.units)
 
