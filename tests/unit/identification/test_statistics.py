@@ -16,7 +16,7 @@ RUNS = 200
 def test_intervals_cover_the_truth(simulate, truth, noise_time):
     values, held, plain = np.array(list(truth.values())), np.zeros(4), np.zeros(4)
     for seed in range(RUNS):
-        record = simulate(seed, time=noise_time)
+        record = simulate(seed, laps=2, time=noise_time)
         found = identify(record, machine("emps2019"), estimator="ls", cutoff=30.0).parameters.values()
         low, high = np.array([one.interval_95 for one in found]).T
         held += (low <= values) & (values <= high)
