@@ -28,7 +28,8 @@ ROOMS = {
     "quantities": "Quantities",
     "registry": "What a user adds",
     "files": "Files",
-    "notebook": "Tables for notebooks",
+    "request": "Requests",
+    "view": "Views",
     "errors": "Errors",
 }
 # One page of the catalogue for each effect; the reference has what they share.

@@ -6,8 +6,8 @@ import pytest
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import FrictionModel
 from emps_design.machines import machine
+from emps_design.model import formula, inverse_force, plant_force, steady_friction
 from emps_design.simulation import Plant
-from tests.model import formula, inverse_force, plant_force, steady_friction
 
 PLANT = {
     "asymmetric_viscous_friction": {"viscous_difference": -40.0},

@@ -1,4 +1,4 @@
-"""What simulations and feed-forward are compared with: force for a motion, friction at steady speed, symbolic formula.
+"""The model of an axis with its effects: force for a motion, friction at steady speed, symbolic formula.
 
 All forces come from the kernels of the effects. Sign:
 ``tau = M qdd + F_v qd + F_c sign(qd) + offset + sum of the effects``, equation (2) of the paper without external force.
