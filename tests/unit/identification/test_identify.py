@@ -11,6 +11,7 @@ from emps_design.identification import identify
 from emps_design.identification.chains import hold_chain, report_chain
 from emps_design.identification.filters import central_difference, decimate, held, held_force, low_pass, motion
 from emps_design.identification.inverse_model import baseline_columns, least_squares, regression, with_predicted_force
+from emps_design.identification.model import parameters_of
 from emps_design.machines import machine
 from emps_design.records import Record
 
@@ -136,6 +137,8 @@ def test_rank_deficiency_names_the_columns():
 def test_refusals_name_the_nearest(record):
     with pytest.raises(InputError, match="`model`: found 'asymetric'.*did you mean 'asymmetric'"):
         identify(record, AXIS, model="asymetric")
+    with pytest.raises(InputError, match="model: found 'symetric'.*did you mean 'symmetric'"):
+        parameters_of("symetric")
     with pytest.raises(InputError, match="`filter`: found 'holt'.*did you mean 'hold'"):
         identify(record, AXIS, filter="holt")
     with pytest.raises(InputError, match="Nyquist frequency 500 Hz"):
