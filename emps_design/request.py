@@ -17,7 +17,7 @@ from typing import Any, TypeVar, get_type_hints
 from emps_design.errors import InputError, nearest_name
 from emps_design.progress import Progress, no_progress
 from emps_design.quantities import read_frequency, read_ratio
-from emps_design.units import Units
+from emps_design.units import LINEAR, Units
 
 OPTION = "option"  # the key of an Option in the metadata of a field
 
@@ -99,7 +99,7 @@ class Request:
     @property
     def units(self) -> Units:
         """The units of its axis, or of a linear one."""
-        return getattr(getattr(self, "axis", None), "units", Units())
+        return getattr(getattr(self, "axis", None), "units", LINEAR)
 
     def refuse(self, names: Iterable[str], why: str) -> None:
         """Raise :class:`InputError` with ``why`` if one of ``names``, which would have no effect, is set.

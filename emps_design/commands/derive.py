@@ -7,7 +7,7 @@ from typing import Any
 
 from emps_design.commands import Reply
 from emps_design.request import Request, option
-from emps_design.units import Units
+from emps_design.units import LINEAR
 from emps_design.view import Line
 
 MACHINE, MASS, DAMPING = "emps2018", 50.0, 100.0  # of the paper's experiments, for what (30) as printed costs
@@ -25,7 +25,7 @@ def answer(request: DeriveRequest) -> Reply:
     from emps_design.paper import errata
 
     if request.latex:
-        return Reply({}, (Line(errata.document(), "code"),), Units())
+        return Reply({}, (Line(errata.document(), "code"),), LINEAR)
     from emps_design.laws.friction_model import FrictionModel
     from emps_design.machines import machine
     from emps_design.paper.derivations import derivation
@@ -58,4 +58,4 @@ def answer(request: DeriveRequest) -> Reply:
     ]
     asked = f"What (30) as printed costs on {MACHINE} with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):"
     view = (*errata.view(), Line(""), Line(asked), *costs)
-    return Reply(document, view, Units())
+    return Reply(document, view, LINEAR)

@@ -178,9 +178,9 @@ class VelocityLoopRequest(Request):
     @property
     def wanted_structure(self) -> Structure:
         """The structure of the request, or that of the controller of the axis."""
-        from emps_design.control.velocity.gains import Structure, own_structure
+        from emps_design.control.velocity.gains import own_structure
 
-        structure = own_structure(self.machine, None if self.structure is None else Structure(self.structure))
+        structure = own_structure(self.machine, self.structure)
         if structure.form == "ip":
             self.refuse(["reference_filter"], "goes with `structure='pi'`; ip has no zero to take away")
         return replace(structure, reference_filter=self.reference_filter)

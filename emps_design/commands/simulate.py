@@ -14,7 +14,7 @@ from emps_design.commands.destinations import ARCHIVE, PICTURES, TABLE
 from emps_design.commands.options import read_axis, read_record
 from emps_design.errors import InputError
 from emps_design.request import Request, option
-from emps_design.units import Units
+from emps_design.units import LINEAR
 
 # The options that each scenario uses, beside those common to all.
 SCENARIOS = {
@@ -95,7 +95,7 @@ def answer(request: SimulateRequest) -> Reply:
     if request.plot is not None:
         _draw(request.plot, result)
     document = result.to_dict()
-    units = Units() if request.wanted == "bench" else request.machine.units
+    units = LINEAR if request.wanted == "bench" else request.machine.units
     return Reply(document, result.view(), units, document.get("reason", ""), tuple(document["warnings"]))
 
 

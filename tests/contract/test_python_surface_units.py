@@ -20,7 +20,6 @@ from emps_design import (
     identify,
     impedance_law,
     import_record,
-    machine,
     observe,
     replay,
     retune_velocity_loop,
@@ -28,24 +27,9 @@ from emps_design import (
 )
 from emps_design.comanipulation.assessment import assess_impedance
 from emps_design.importing import layout_of
+from tests.axes import KINDS, machine_of
 from tests.rewriting import rewritten
 
-PD = {"kind": "position_pd", "kp": 22.0, "kv": 7.6}
-JOINT = {
-    "name": "joint",
-    "motion": "rotary",
-    "mechanics": {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2, "offset": 0.4},
-    "drive": {"command": "current", "force_gain": 9.2, "command_limit": 10.3, "current_time_constant": 1e-3},
-    "sampling": {"period": 1e-3, "encoder_resolution": 3e-6},
-    "controller": PD,
-}
-PERCENT = {"command": "torque", "command_unit": "%", "force_gain": 15.08, "command_limit": 145.0}
-AXES = {
-    "linear, V": lambda: machine("emps2018").replace(controller=PD),
-    "rotary, V": lambda: Axis.from_dict({**JOINT, "drive": JOINT["drive"] | {"command": "voltage"}}),
-    "rotary, A": lambda: Axis.from_dict(JOINT),
-    "linear, %": lambda: machine("emps2018").replace(drive=PERCENT, controller=PD | {"kv": 400.0}),
-}
 NAMES = ("name", "axis", "record", "records", "file", "model_file", "source", "equation")
 
 
@@ -72,7 +56,7 @@ class Bench:
 @pytest.fixture(scope="module")
 def bench(request, tmp_path_factory):
     """A bench with one kind of axis."""
-    axis = AXES[request.param]()
+    axis = machine_of(request.param)
     return Bench(axis, synthetic_record(axis, laps=1, stroke=0.1), tmp_path_factory.mktemp("bench"))
 
 
@@ -198,7 +182,7 @@ def _pushed(bench: Bench) -> Record:
 
 def cases(table: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Every axis with every case of ``table``."""
-    return [(kind, name) for kind in AXES for name in table]
+    return [(kind, name) for kind in KINDS for name in table]
 
 
 @pytest.mark.parametrize(("bench", "name"), cases(RESULTS), indirect=["bench"])

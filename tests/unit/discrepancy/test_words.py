@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from emps_design.axis import Axis
 from emps_design.discrepancy import preparation, unexplained
 from emps_design.discrepancy.preparation import check_law, check_records
 from emps_design.discrepancy.residual_views import extent, views, where_document
@@ -15,35 +14,14 @@ from emps_design.discrepancy.words import changed, filled, label_of, worded
 from emps_design.effects import Motion, known_effects
 from emps_design.errors import InputError, RecordError
 from emps_design.simulation.synthetic import synthetic_record
+from tests.axes import CONTROLLER, KINDS, axis_of
 from tests.rewriting import rewritten
-
-KINDS = {
-    "linear, V": ("linear", {"command": "voltage"}),
-    "rotary, V": ("rotary", {"command": "voltage"}),
-    "rotary, A": ("rotary", {"command": "current"}),
-    "linear, %": ("linear", {"command": "torque", "command_unit": "%"}),
-}
-
-
-def axis_of(kind: str) -> Axis:
-    """An axis with the numbers of the paper's machine."""
-    motion, command = KINDS[kind]
-    return Axis.from_dict(
-        {
-            "name": "axis",
-            "motion": motion,
-            "mechanics": {"mass": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0},
-            "drive": {**command, "force_gain": 35.0, "command_limit": 10.0},
-            "sampling": {"period": 1e-3, "encoder_resolution": 5e-8},
-            "controller": {"kind": "position_pd", "kp": 160.0, "kv": 240.0},
-        }
-    )
 
 
 @pytest.fixture(scope="module", params=KINDS)
 def axis(request):
     """An axis of each kind."""
-    return axis_of(request.param)
+    return axis_of(request.param, **CONTROLLER)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +86,7 @@ def test_nothing_has_to_be_rewritten(axis, record):
 
 
 def test_they_are_those_of_the_linear_axis_in_other_words(axis, record):
-    linear = [rewritten(axis.units, text) for text in drawn(axis_of("linear, V"), record)]
+    linear = [rewritten(axis.units, text) for text in drawn(axis_of("linear, V", **CONTROLLER), record)]
     assert drawn(axis, record) == linear
     assert ("motor torque" in linear) == axis.units.rotary
 
@@ -129,5 +107,5 @@ def test_they_are_those_of_the_linear_axis_in_other_words(axis, record):
     ],
 )
 def test_a_finding_has_the_units_of_its_axis(kind, expected):
-    axis = axis_of(kind)
+    axis = axis_of(kind, **CONTROLLER)
     assert messages(axis, synthetic_record(axis, laps=1))[-1].endswith(expected)

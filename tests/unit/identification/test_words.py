@@ -21,14 +21,15 @@ from emps_design.importing.sanity import check_against
 from emps_design.records.layout import MAPPED, Assignment
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.units import LINEAR
+from tests.axes import CONTROLLER, KINDS, axis_of
 from tests.rewriting import rewritten
-from tests.unit.discrepancy.test_words import KINDS, axis_of, refused
+from tests.unit.discrepancy.test_words import refused
 
 
 @pytest.fixture(scope="module", params=KINDS)
 def axis(request):
     """An axis of each kind."""
-    return axis_of(request.param)
+    return axis_of(request.param, **CONTROLLER)
 
 
 @pytest.fixture(scope="module")

@@ -24,34 +24,14 @@ from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
 from emps_design.simulation.scenarios import _no_break_away, breakaway, force_ramp
 from emps_design.simulation.view import scenario_view
+from tests.axes import KINDS, axis_of
 from tests.rewriting import rewritten
-
-KINDS = {
-    "linear, V": ("linear", {"command": "voltage"}),
-    "rotary, V": ("rotary", {"command": "voltage"}),
-    "rotary, A": ("rotary", {"command": "current"}),
-    "linear, %": ("linear", {"command": "torque", "command_unit": "%"}),
-}
-
-
-def axis_of(kind: str) -> Axis:
-    """An axis that its constant force moves, with the other numbers of the paper's machine."""
-    motion, command = KINDS[kind]
-    return Axis.from_dict(
-        {
-            "name": "axis",
-            "motion": motion,
-            "mechanics": {"mass": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": -30.0},
-            "drive": {**command, "force_gain": 35.0, "command_limit": 10.0},
-            "sampling": {"period": 1e-3, "encoder_resolution": 5e-8},
-        }
-    )
 
 
 @pytest.fixture(params=KINDS)
 def axis(request):
-    """An axis of each kind."""
-    return axis_of(request.param)
+    """An axis of each kind that its constant force moves."""
+    return axis_of(request.param, offset=-30.0)
 
 
 def refused(call, *arguments, **options) -> str:
@@ -148,7 +128,7 @@ def test_nothing_has_to_be_rewritten(axis, said):
 
 
 def test_a_rotary_axis_with_a_current_has_its_own_units():
-    text = " | ".join(cautions(axis_of("rotary, A")))
+    text = " | ".join(cautions(axis_of("rotary, A", offset=-30.0)))
     assert "the constant torque exceeds dry friction by 10 N m" in text
     assert "creep at up to 0.705 deg/s" in text
     assert "the current limit is reached in the task" in text
@@ -156,7 +136,7 @@ def test_a_rotary_axis_with_a_current_has_its_own_units():
 
 
 def test_a_linear_axis_has_millimetres_and_newtons():
-    text = " | ".join(cautions(axis_of("linear, V")))
+    text = " | ".join(cautions(axis_of("linear, V", offset=-30.0)))
     assert "the constant force exceeds dry friction by 10 N, and" in text
     assert "makes the released carriage creep at up to 12.3 mm/s; a Coulomb factor of 0.9 rules it out" in text
     assert "comes to rest up to 1.2e+04 N/m; beyond" in text
@@ -175,7 +155,7 @@ def test_a_run_and_its_file_have_the_units_of_the_axis(axis, tmp_path):
 
 
 def test_a_document_has_the_units_of_its_axis_and_its_view_readable_ones():
-    joint = axis_of("rotary, A").replace(mechanics={"offset": 0.0})
+    joint = axis_of("rotary, A", offset=-30.0).replace(mechanics={"offset": 0.0})
     found = breakaway(joint, rate=200.0)
     assert found.to_dict()["units"] == {
         "rate": "N m/s",

@@ -2,7 +2,6 @@
 
 import pytest
 
-from emps_design.axis import Axis
 from emps_design.identification.controller import identify_law
 from emps_design.identification.observation import observe
 from emps_design.report import Page, Section
@@ -19,31 +18,16 @@ from emps_design.report.page import interval, quantity, with_std
 from emps_design.report.record import law_blocks, observation_blocks
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.units import LINEAR, Units
+from tests.axes import CONTROLLER, KINDS, axis_of
 from tests.rewriting import rewritten
 
-KINDS = {
-    "linear, V": ("linear", {"command": "voltage"}),
-    "rotary, V": ("rotary", {"command": "voltage"}),
-    "rotary, A": ("rotary", {"command": "current"}),
-    "linear, %": ("linear", {"command": "torque", "command_unit": "%"}),
-}
 JOINT = Units("rotary", "current", "A")
 
 
 @pytest.fixture(scope="module", params=KINDS)
 def axis(request):
     """An axis of each kind, with the numbers of the paper's machine."""
-    motion, command = KINDS[request.param]
-    return Axis.from_dict(
-        {
-            "name": "axis",
-            "motion": motion,
-            "mechanics": {"mass": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0},
-            "drive": {**command, "force_gain": 35.0, "command_limit": 10.0},
-            "sampling": {"period": 1e-3, "encoder_resolution": 5e-8},
-            "controller": {"kind": "position_pd", "kp": 160.0, "kv": 240.0},
-        }
-    )
+    return axis_of(request.param, **CONTROLLER)
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,6 @@
 
 import pytest
 
-from emps_design.axis import Axis
-from emps_design.machines import machine
 from emps_design.progress import no_progress
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.studio.data_view import identify_work, observe_work
@@ -12,30 +10,14 @@ from emps_design.studio.files_view import velocity_design
 from emps_design.studio.motion_view import move
 from emps_design.studio.simulation_view import simulate
 from emps_design.studio.state import State, differences_in_words
+from tests.axes import KINDS, machine_of
 from tests.rewriting import rewritten
 
-PD = {"kind": "position_pd", "kp": 22.0, "kv": 7.6}
-JOINT = {
-    "name": "joint",
-    "motion": "rotary",
-    "mechanics": {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2, "offset": 0.4},
-    "drive": {"command": "current", "force_gain": 9.2, "command_limit": 10.3, "current_time_constant": 1e-3},
-    "sampling": {"period": 1e-3, "encoder_resolution": 3e-6},
-    "controller": PD,
-}
-PERCENT = {"command": "torque", "command_unit": "%", "force_gain": 15.08, "command_limit": 145.0}
-AXES = {
-    "linear, V": machine("emps2018").replace(controller=PD),
-    "rotary, V": Axis.from_dict({**JOINT, "drive": JOINT["drive"] | {"command": "voltage"}}),
-    "rotary, A": Axis.from_dict(JOINT),
-    "linear, %": machine("emps2018").replace(drive=PERCENT, controller=PD | {"kv": 400.0}),
-}
 
-
-@pytest.fixture(params=AXES)
+@pytest.fixture(params=KINDS)
 def axis(request):
     """An axis of each kind."""
-    return AXES[request.param]
+    return machine_of(request.param)
 
 
 def changed(axis, *texts) -> list[str]:
