@@ -1,21 +1,19 @@
-"""What effects that are one harmonic, A sin(angle + phase), share: kernel, two linear coefficients, parameters, search.
+"""Effects that are one harmonic, A sin(angle + phase): kernel, two linear coefficients, parameters, search.
 
-Amplitude and phase are not linear; the coefficients of sine and cosine of the angle are, and give both.
+Amplitude and phase are not linear; the coefficients of sine and cosine of the angle are, and give both. :func:`along`
+makes the effect of a harmonic of the travel.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from emps_design.effects import guesses
-from emps_design.effects.effect import Estimation, Motion, Parameter, Parameters
+from emps_design.effects.effect import Effect, Estimation, Motion, Parameter, Parameters
 from emps_design.effects.sizes import stroke_size
-
-if TYPE_CHECKING:
-    import sympy
 
 SHORTEST = 5e-4  # m of an ordinary stroke, below which no period of travel is sought
 
@@ -30,27 +28,53 @@ def columns(angle: np.ndarray) -> np.ndarray:
     return np.column_stack([np.sin(angle), np.cos(angle)])
 
 
-def to_linear(parameters: Parameters) -> np.ndarray:
-    """Coefficients of :func:`columns` that belong to ``amplitude`` and ``phase``.
+def filtered_columns(motion: Motion, angle: np.ndarray) -> np.ndarray:
+    """Return sin and cos of ``angle`` (n,) [rad], filtered as the ``motion`` is, shape (n, 2)."""
+    sine, cosine = columns(angle).T
+    return np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
 
-    >>> to_linear({"amplitude": 2.0, "phase": 0.0})
+
+def estimation(size: str = "amplitude", angle: str = "phase", **identified_by: Any) -> Estimation:
+    """Return how the coefficients of sine and cosine give the parameters ``size``, not negative, and ``angle`` [rad].
+
+    >>> wave = estimation()
+    >>> wave.to_linear({"amplitude": 2.0, "phase": 0.0})
     array([2., 0.])
-    """
-    return parameters["amplitude"] * np.array([math.cos(parameters["phase"]), math.sin(parameters["phase"])])
-
-
-def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]:
-    """Return ``amplitude`` (not negative) and ``phase`` [rad] in (-pi, pi], with the shape parameters unchanged.
-
-    >>> from_linear([0.0, 3.0], {"period": 0.005})
+    >>> wave.from_linear([0.0, 3.0], {"period": 0.005})
     {'amplitude': 3.0, 'phase': 1.5707963267948966, 'period': 0.005}
     """
-    sine, cosine = (float(c) for c in coefficients)
-    rest = {name: value for name, value in shape.items() if name not in ("amplitude", "phase")}
-    return {"amplitude": math.hypot(sine, cosine), "phase": math.atan2(cosine, sine), **rest}
+
+    def to_linear(parameters: Parameters) -> np.ndarray:
+        return parameters[size] * np.array([math.cos(parameters[angle]), math.sin(parameters[angle])])
+
+    def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]:
+        sine, cosine = (float(c) for c in coefficients)
+        rest = {name: value for name, value in shape.items() if name not in (size, angle)}
+        return {size: math.hypot(sine, cosine), angle: math.atan2(cosine, sine), **rest}
+
+    return Estimation(to_linear, from_linear, identified_by)
 
 
-ESTIMATION = Estimation(to_linear, from_linear)
+def along(hook: str, amplitude: Parameter, repeats: Parameter, **declared: Any) -> Effect:
+    """Return the effect whose ``hook``, "force", "dry" or "sensor", is one harmonic of the travel.
+
+    ``repeats`` is the parameter of the travel after which it does. ``declared`` are the other fields of the effect; its
+    ``regressor`` is by default sine and cosine, with the sign of the velocity where the hook is "dry".
+    """
+
+    def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+        waves = filtered_columns(motion, 2 * math.pi * motion.q / shape[repeats.name])
+        return waves * np.sign(motion.v)[:, None] if hook == "dry" else waves
+
+    def expression(q: Any, v: Any, t: Any, tau: Any, p: Parameters, b: np.ndarray) -> Any:
+        import sympy
+
+        wave = p["amplitude"] * sympy.sin(2 * sympy.pi * q / p[repeats.name] + p["phase"])
+        return wave * sympy.sign(v) if hook == "dry" else wave
+
+    derived: dict[str, Any] = {hook: along_travel, "regressor": regressor, "expression": expression, **declared}
+    parameters = amplitude, phase("the encoder's zero"), repeats
+    return Effect(parameters=parameters, repeats=repeats.name, over="q", estimation=estimation(), **derived)
 
 
 def phase(zero: str) -> Parameter:
@@ -63,13 +87,6 @@ def period(what: str) -> Parameter:
     starts = (0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02)
     text = f"travel after which {what} repeats"
     return Parameter("period", r"\lambda", "m", lower=1e-4, upper=0.1, starts=starts, text=text)
-
-
-def in_symbols(q: sympy.Symbol, p: Parameters, repeats: str = "period") -> sympy.Expr:
-    """:func:`along_travel` in symbols; ``repeats`` is the parameter after which it does."""
-    import sympy
-
-    return p["amplitude"] * sympy.sin(2 * sympy.pi * q / p[repeats] + p["phase"])
 
 
 def periods(motion: Motion, residual: np.ndarray, away: np.ndarray, columns: guesses.Waves) -> list[dict[str, float]]:

@@ -10,13 +10,7 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import MASS, VISCOUS, Effect, Motion, Parameter, Parameters, Search, Words
-
-PARAMETERS = (
-    Parameter("amplitude", "A", "m", 0.0, 1e-2, linear=True, scale=5e-6, text="amplitude of the error"),
-    harmonic.phase("the encoder's zero"),
-    harmonic.period("the error"),
-)
+from emps_design.effects.effect import MASS, VISCOUS, Motion, Parameter, Parameters, Search, Words
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -39,23 +33,16 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
     return harmonic.periods(motion, residual, away, columns)
 
 
-def expression(q, v, t, tau, p, b):
-    return harmonic.in_symbols(q, p)
-
-
-EFFECT = Effect(
+EFFECT = harmonic.along(
+    "sensor",
+    Parameter("amplitude", "A", "m", 0.0, 1e-2, linear=True, scale=5e-6, text="amplitude of the error"),
+    harmonic.period("the error"),
     name="encoder_error",
     label="Encoder error",
     channel="sensor",
     equation=r"q_m = q + A \sin(2\pi q/\lambda + \varphi)",
     source="eccentricity and interpolation error of incremental encoders",
-    parameters=PARAMETERS,
-    sensor=harmonic.along_travel,
-    repeats="period",
-    over="q",
     regressor=regressor,
-    expression=expression,
-    estimation=harmonic.ESTIMATION,
     search=Search(
         propose=propose, plausible=harmonic.plausible, confused_with=("position_ripple", "periodic_disturbance")
     ),

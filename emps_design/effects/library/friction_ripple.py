@@ -9,42 +9,21 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
-
-PARAMETERS = (
-    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
-    harmonic.phase("the encoder's zero"),
-    harmonic.period("the friction"),
-)
-
-
-def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
-    sine, cosine = harmonic.columns(2 * pi * motion.q / shape["period"]).T
-    return np.column_stack([motion.smooth(sine), motion.smooth(cosine)]) * np.sign(motion.v)[:, None]
+from emps_design.effects.effect import Claims, Motion, Parameter, Search, Words
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
     return harmonic.periods(motion, residual, away, harmonic.waves(np.sign(motion.v)))
 
 
-def expression(q, v, t, tau, p, b):
-    import sympy
-
-    return harmonic.in_symbols(q, p) * sympy.sign(v)
-
-
-EFFECT = Effect(
+EFFECT = harmonic.along(
+    "dry",
+    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
+    harmonic.period("the friction"),
     name="friction_ripple",
     label="Friction ripple",
     equation=r"F = A \sin(2\pi q/\lambda + \varphi)\, \mathrm{sign}(\dot q)",
     source="screw and nut off centre; one revolution of the encoder is 2.5 mm on the EMPS",
-    parameters=PARAMETERS,
-    dry=harmonic.along_travel,
-    repeats="period",
-    over="q",
-    regressor=regressor,
-    expression=expression,
-    estimation=harmonic.ESTIMATION,
     search=Search(
         propose=propose,
         plausible=harmonic.plausible,

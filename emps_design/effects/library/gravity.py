@@ -10,7 +10,7 @@ from math import pi, sin
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Claims, Effect, Estimation, Motion, Parameter, Parameters, Search, Words
+from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
 
 PARAMETERS = (
     Parameter("torque", "A", "N", lower=0.0, linear=True, scale=1.0, text="weight times its distance"),
@@ -24,17 +24,7 @@ def force(q, v, t, tau, x, p, b):
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
-    sine, cosine = harmonic.columns(motion.q).T
-    return np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
-
-
-def to_linear(parameters: Parameters) -> np.ndarray:
-    return harmonic.to_linear({"amplitude": parameters["torque"], "phase": parameters["angle"]})
-
-
-def from_linear(coefficients: np.ndarray, shape: Parameters) -> dict[str, float]:
-    wave = harmonic.from_linear(coefficients, {})
-    return {"torque": wave["amplitude"], "angle": wave["phase"]}
+    return harmonic.filtered_columns(motion, motion.q)
 
 
 def identified(parameters: Parameters) -> dict[str, float]:
@@ -58,7 +48,7 @@ EFFECT = Effect(
     over="q",
     regressor=regressor,
     expression=expression,
-    estimation=Estimation(to_linear=to_linear, from_linear=from_linear, identified_by={"gravity": identified}),
+    estimation=harmonic.estimation("torque", "angle", gravity=identified),
     search=Search(confused_with=("elastic_force", "position_ripple", "position_dependent_friction")),
     words=Words(
         where="over the angle, the same in both directions and at every speed, once round in a revolution",

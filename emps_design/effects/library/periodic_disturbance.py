@@ -24,8 +24,7 @@ def force(q, v, t, tau, x, p, b):
 
 
 def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
-    sine, cosine = harmonic.columns(2 * pi * shape["frequency"] * motion.t).T
-    return -np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
+    return -harmonic.filtered_columns(motion, 2 * pi * shape["frequency"] * motion.t)
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
@@ -58,7 +57,7 @@ EFFECT = Effect(
     over="t",
     regressor=regressor,
     expression=expression,
-    estimation=harmonic.ESTIMATION,
+    estimation=harmonic.estimation(),
     search=Search(
         propose=propose, plausible=plausible, confused_with=("external_force", "position_ripple", "encoder_error")
     ),

@@ -9,17 +9,13 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
+from emps_design.effects.effect import Claims, Motion, Parameter, Parameters, Search, Words
 
-PARAMETERS = (
-    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=3.0, text="variation of the Coulomb level"),
-    harmonic.phase("the encoder's zero"),
-    Parameter("length", r"\Lambda", "m", 0.02, 5.0, starts=(0.1, 0.2, 0.3, 0.5, 0.8),
-              text="travel after which the level repeats"),
-)  # fmt: skip
+LENGTH = Parameter("length", r"\Lambda", "m", 0.02, 5.0, starts=(0.1, 0.2, 0.3, 0.5, 0.8),
+                   text="travel after which the level repeats")  # fmt: skip
 
 
-def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:  # slow enough to pass any filter
     return harmonic.columns(2 * pi * motion.q / shape["length"]) * np.sign(motion.v)[:, None]
 
 
@@ -27,24 +23,15 @@ def plausible(parameters: Parameters, motion: Motion) -> bool:
     return parameters["length"] < 3 * float(np.ptp(motion.q))  # longer is a straight line over the stroke
 
 
-def expression(q, v, t, tau, p, b):
-    import sympy
-
-    return harmonic.in_symbols(q, p, "length") * sympy.sign(v)
-
-
-EFFECT = Effect(
+EFFECT = harmonic.along(
+    "dry",
+    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=3.0, text="variation of the Coulomb level"),
+    LENGTH,
     name="position_dependent_friction",
     label="Position-dependent friction",
     equation=r"F = A \sin(2\pi q/\Lambda + \varphi)\, \mathrm{sign}(\dot q)",
     source="first harmonic of the Coulomb level over position; paper section II-B takes the level as constant",
-    parameters=PARAMETERS,
-    dry=harmonic.along_travel,
-    repeats="length",
-    over="q",
     regressor=regressor,
-    expression=expression,
-    estimation=harmonic.ESTIMATION,
     search=Search(plausible=plausible, confused_with=("position_ripple", "elastic_force", "friction_drift")),
     words=Words(
         where="slowly along the travel, with opposite sign in the two directions, at every speed alike",

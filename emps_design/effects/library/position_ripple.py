@@ -11,40 +11,21 @@ from math import pi
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
-
-PARAMETERS = (
-    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
-    harmonic.phase("the encoder's zero"),
-    harmonic.period("the ripple"),
-)
-
-
-def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
-    sine, cosine = harmonic.columns(2 * pi * motion.q / shape["period"]).T
-    return np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
+from emps_design.effects.effect import Claims, Motion, Parameter, Search, Words
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
     return harmonic.periods(motion, residual, away, harmonic.waves())
 
 
-def expression(q, v, t, tau, p, b):
-    return harmonic.in_symbols(q, p)
-
-
-EFFECT = Effect(
+EFFECT = harmonic.along(
+    "force",
+    Parameter("amplitude", "A", "N", lower=0.0, linear=True, scale=2.0, text="amplitude of the ripple"),
+    harmonic.period("the ripple"),
     name="position_ripple",
     label="Position ripple",
     equation=r"F = A \sin(2\pi q/\lambda + \varphi)",
     source="cogging and screw eccentricity; one encoder revolution is 2.5 mm on the EMPS",
-    parameters=PARAMETERS,
-    force=harmonic.along_travel,
-    repeats="period",
-    over="q",
-    regressor=regressor,
-    expression=expression,
-    estimation=harmonic.ESTIMATION,
     search=Search(
         propose=propose,
         plausible=harmonic.plausible,
