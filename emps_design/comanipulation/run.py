@@ -46,9 +46,9 @@ from emps_design.laws.library.impedance import (
 from emps_design.simulation.environment import HAND, Hand, hand_force
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address, built_in, cached, inlined, pointer
-from emps_design.simulation.kernels.friction_period import advance, response, uneventful
+from emps_design.simulation.kernels.friction_period import response
 from emps_design.simulation.kernels.hold_loop import DONE, run as run_samples
-from emps_design.simulation.kernels.lanes import LANES, lane, room, row
+from emps_design.simulation.kernels.lanes import LANES, lane, room, row, step, step_again
 from emps_design.simulation.kernels.motion import GAIN, LIMIT, PERIOD, RESOLUTION, encoded, friction_of
 from emps_design.simulation.plant import Inputs, Plant, Prepared
 
@@ -89,7 +89,7 @@ def run_lanes(
     q, v, tau, q1, v1, tau1 = row(rows, 0), row(rows, 1), row(rows, 2), row(rows, 3), row(rows, 4), row(rows, 5)
     u, command, force, release_v = row(rows, 6), row(rows, 7), row(rows, 8), row(rows, 9)
     stops, lost, encoder, gains = row(rows, 10), row(rows, 11), row(rows, 12), row(rows, 13)
-    memory, sums = row(gains, OWN), row(gains, OWN + WAITING)
+    now, after, memory, sums = (q, v, tau), (q1, v1, tau1), row(gains, OWN), row(gains, OWN + WAITING)
     period, limit, resolution, gain = settings[PERIOD], settings[LIMIT], settings[RESOLUTION], settings[GAIN]
     friction = friction_of(pointer(baseline), pointer(settings))
     mass, viscous_p, viscous_n, _, _, lag = friction
@@ -119,20 +119,12 @@ def run_lanes(
             else:
                 for i in range(LANES):
                     u[i] = _voltage(k, reference, encoder[i], force[i], limit, lane(gains, i), at_once, lane(memory, i))
-            eventful = 0
+            events = 0
             for i in range(LANES):
                 command[i] = gain * u[i]
-                quiet, q1[i], v1[i], tau1[i] = uneventful(
-                    q[i], v[i], tau[i], command[i], force[i], period, forward, backward, friction
-                )
-                stops[i] = 0.0 if quiet or lost[i] > 0.0 else 1.0
-                eventful += 0 if quiet or lost[i] > 0.0 else 1
-            if eventful > 0:
-                for i in range(LANES):
-                    if stops[i] > 0.0:
-                        q1[i], v1[i], tau1[i] = advance(
-                            q[i], v[i], tau[i], command[i], force[i], period, forward, backward, friction, t, rows, kept
-                        )
+                events += step(i, now, after, command, force, period, forward, backward, friction, stops)
+            if events > 0:
+                step_again(now, after, command, force, period, forward, backward, friction, t, stops, lost, kept)
             if k < release:
                 turn = (turns[k, 0], turns[k, 1], turns[k, 2], turns[k, 3])
                 for i in range(LANES):

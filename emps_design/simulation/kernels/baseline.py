@@ -2,9 +2,7 @@
 
 The period is that of :mod:`friction_period` with an ideal current loop. :func:`run_plain` steps sample by sample;
 :func:`run_folded` combines controller and motion into one affine map while the carriage slides and the voltage is
-within its limit. :func:`run_lanes` computes metrics of many plants, 32 lanes per step, with the arithmetic of
-:func:`run_plain`: all lanes slide in one vector loop; a lane whose velocity reaches zero in the period, or is at rest,
-is stepped again alone. Lanes share nothing, so the numbers of a plant do not depend on its neighbours.
+within its limit. :func:`run_lanes` computes metrics of many plants in parallel (:mod:`.lanes`).
 """
 
 from __future__ import annotations
@@ -13,16 +11,16 @@ import math
 
 import numpy as np
 
-from emps_design.simulation.kernels.compile import cached, part, pointer, shifted
+from emps_design.simulation.kernels.compile import cached, part, pointer
 from emps_design.simulation.kernels.friction_period import follow, response
+from emps_design.simulation.kernels.lanes import LANES, row, step, step_again
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)
 # Places in ``numbers``.
 PERIOD, GAIN, LIMIT, RESOLUTION, PROPORTIONAL, DAMPING, TWO_TAP = range(7)
 SWINGS = 40.0  # swings of the voltage from limit to limit that make a loop unstable
 
-LANES = 32
-ROWS = 20
+ROWS = 23
 
 
 @part
@@ -172,80 +170,68 @@ def numbers_of(period: float, gain: float, limit: float, resolution: float, gain
 
 @cached()
 def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u, first, scratch, tally, result):
-    """Simulate ``baselines`` (m, 4), m a multiple of 32, and fill ``result`` (m, 5).
+    """Simulate ``baselines`` (m, 4), m a multiple of LANES, and fill ``result`` (m, 5).
 
     Columns: sums of squares over the samples from ``first`` on of reference minus position, measured minus encoder
     position and measured minus simulated voltage (0 where nothing was measured), then the largest voltage and the
-    number of samples at rest. ``scratch`` has 20 rows of 32; ``tally`` two zeros: no event is recorded.
+    number of samples at rest. A plant whose voltage reaches the limit, or whose carriage leaves every bound, gets nan:
+    lanes do not simulate what follows. ``scratch`` has ROWS rows, ``tally`` two zeros: no event is recorded.
     """
-    room, nothing = pointer(scratch), pointer(tally)
-    q, v, older, last = room, shifted(room, 32), shifted(room, 64), shifted(room, 96)
-    e, g1, m1, m2 = shifted(room, 128), shifted(room, 160), shifted(room, 192), shifted(room, 224)
-    dry, offset, mass, viscous = shifted(room, 256), shifted(room, 288), shifted(room, 320), shifted(room, 352)
-    measured, net, ahead, place = shifted(room, 384), shifted(room, 416), shifted(room, 448), shifted(room, 480)
-    tracked, missed, voltage, peak = shifted(room, 512), shifted(room, 544), shifted(room, 576), shifted(room, 608)
+    rows, nothing = pointer(scratch), pointer(tally)
+    q, v, q1, v1, command, stops = row(rows, 0), row(rows, 1), row(rows, 2), row(rows, 3), row(rows, 4), row(rows, 5)
+    lost, older, last, measured = row(rows, 6), row(rows, 7), row(rows, 8), row(rows, 9)
+    e, m1, g1, m2 = row(rows, 10), row(rows, 11), row(rows, 12), row(rows, 13)
+    mass, viscous, coulomb_p, coulomb_n = row(rows, 14), row(rows, 15), row(rows, 16), row(rows, 17)
+    tracked, missed, voltage, peak, rest = row(rows, 18), row(rows, 19), row(rows, 20), row(rows, 21), row(rows, 22)
     period, limit, gain, resolution = numbers[PERIOD], numbers[LIMIT], numbers[GAIN], numbers[RESOLUTION]
     proportional, two_tap = numbers[PROPORTIONAL], numbers[TWO_TAP]
     damping = numbers[DAMPING] / period * (0.5 if two_tap > 0.0 else 1.0)
     pushed, compared = push.size > 0, measured_q.size > 0
-    for block in range(0, baselines.shape[0], 32):
-        for i in range(32):
+    now, after = (q, v, command), (q1, v1, command)  # an ideal current loop: the command is the motor force
+    factors, friction = (e, 0.0, m1, g1, 0.0, m2, 0.0), (mass, viscous, viscous, coulomb_p, coulomb_n, 0.0)
+    for block in range(0, baselines.shape[0], LANES):
+        for i in range(LANES):
             b = baselines[block + i]
-            mass[i], dry[i], offset[i], viscous[i] = b[MASS], b[COULOMB], b[OFFSET], b[VISCOUS]
+            mass[i], viscous[i] = b[MASS], b[VISCOUS]
+            coulomb_p[i], coulomb_n[i] = b[COULOMB] + b[OFFSET], b[COULOMB] - b[OFFSET]
             e[i], _, m1[i], g1[i], _, m2[i], _ = response(period, mass[i], viscous[i], 0.0)
             q[i], v[i] = start
-            first_reading = math.floor(start[0] / resolution + 0.5) * resolution if resolution > 0.0 else start[0]
-            older[i], last[i] = first_reading, first_reading
-            tracked[i], missed[i], voltage[i], peak[i] = 0.0, 0.0, 0.0, 0.0
-            result[block + i, 4] = 0.0
+            last[i] = math.floor(start[0] / resolution + 0.5) * resolution if resolution > 0.0 else start[0]
+            older[i] = last[i]
+            tracked[i], missed[i], voltage[i], peak[i], rest[i] = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(reference.size):
-            wanted = reference[k]
-            force = push[k] if pushed else 0.0
+            wanted, pushes, events = reference[k], push[k] if pushed else 0.0, 0
             counts = 1.0 if k >= first else 0.0
             real_q = measured_q[k] if compared else 0.0
             real_u = measured_u[k] if compared else 0.0
             if resolution > 0.0:
-                for i in range(32):
+                for i in range(LANES):
                     measured[i] = math.floor(q[i] / resolution + 0.5) * resolution
             else:
-                for i in range(32):
+                for i in range(LANES):
                     measured[i] = q[i]
-            for i in range(32):
+            for i in range(LANES):
                 before = two_tap * older[i] + (1.0 - two_tap) * last[i]
                 volts = proportional * (wanted - measured[i]) - damping * (measured[i] - before)
-                volts = limit if volts > limit else volts
-                volts = -limit if volts < -limit else volts
                 older[i] = last[i]
                 last[i] = measured[i]
                 tracked[i] += counts * (wanted - q[i]) * (wanted - q[i])
                 missed[i] += counts * (real_q - measured[i]) * (real_q - measured[i])
                 voltage[i] += counts * (real_u - volts) * (real_u - volts)
-                size = abs(volts)
-                peak[i] = size if size > peak[i] else peak[i]
-                net[i] = gain * volts - offset[i] + force
-                n = net[i] - math.copysign(dry[i], v[i])
-                ahead[i] = v[i] * e[i] + n * m1[i]
-                place[i] = q[i] + (v[i] * g1[i] + n * m2[i])
-            turned = 0
-            for i in range(32):
-                turned += 1 if ahead[i] * v[i] <= 0.0 else 0
-            if turned > 0:
-                for i in range(32):
-                    if ahead[i] * v[i] <= 0.0:
-                        if v[i] == 0.0:
-                            result[block + i, 4] += counts
-                        if v[i] == 0.0 and abs(net[i]) <= dry[i]:
-                            place[i], ahead[i] = q[i], 0.0
-                        else:
-                            friction = (mass[i], viscous[i], viscous[i], dry[i], dry[i], 0.0)
-                            place[i], ahead[i], _ = follow(
-                                q[i], v[i], 0.0, net[i], 0.0, period, friction, 0.0, room, nothing
-                            )
-            for i in range(32):
-                q[i] = place[i]
-                v[i] = ahead[i]
-        for i in range(32):
+                peak[i] = max(peak[i], abs(volts))
+                rest[i] += counts if v[i] == 0.0 else 0.0
+                command[i] = gain * volts
+                events += step(i, now, after, command, pushes, period, factors, factors, friction, stops)
+            if events > 0:
+                for i in range(LANES):
+                    lost[i] = 0.0 if peak[i] < limit and abs(q[i]) < 1e3 else 1.0
+                t = k * period
+                step_again(now, after, command, pushes, period, factors, factors, friction, t, stops, lost, nothing)
+            for i in range(LANES):
+                q[i], v[i] = q1[i], v1[i]
+        for i in range(LANES):
             result[block + i, 0] = tracked[i]
             result[block + i, 1] = missed[i] if compared else 0.0
             result[block + i, 2] = voltage[i] if compared else 0.0
-            result[block + i, 3] = peak[i] if abs(q[i]) < 1e3 else np.nan
+            result[block + i, 3] = peak[i] if peak[i] < limit and abs(q[i]) < 1e3 else np.nan
+            result[block + i, 4] = rest[i]

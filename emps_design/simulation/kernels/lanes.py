@@ -1,7 +1,9 @@
 """Plants in parallel: the numbers of many plants in rows, one lane per plant, in the layout of vector instructions.
 
 A kernel that gets a lane in place of an array works on the numbers of one plant; the compiler vectorises a loop over
-the lanes.
+the lanes. :func:`step` and :func:`step_again` take the lanes through one hold period of the friction plant
+(:mod:`.friction_period`): all in one vector loop, then each that stops or starts within the period alone. Lanes share
+nothing, so the numbers of a plant do not depend on its neighbours.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from numba import extending, types
 from numba.core.datamodel import models
 
 from emps_design.simulation.kernels.compile import inlined, intrinsic, shifted
+from emps_design.simulation.kernels.friction_period import advance, uneventful
 
 LANES = 32
 _LINE = 8  # numbers in a line of the cache
@@ -85,3 +88,54 @@ def _getitem(numbers, j):
 @extending.overload(operator.setitem)
 def _setitem(numbers, j, value):
     return (lambda numbers, j, value: _write(numbers, j, value)) if isinstance(numbers, _Lane) else None
+
+
+@intrinsic
+def of_plant(typingctx, numbers, i):
+    """The number of plant ``i``: in its row, or one for all plants; or a tuple of such numbers."""
+    several = isinstance(numbers, types.BaseTuple)
+
+    def number(builder, kind, value, i):
+        return builder.load(builder.gep(value, [i])) if isinstance(kind, types.CPointer) else value
+
+    def generate(context, builder, signature, arguments):
+        value, i = arguments
+        if not several:
+            return number(builder, numbers, value, i)
+        each = [number(builder, kind, builder.extract_value(value, n), i) for n, kind in enumerate(numbers)]
+        return context.make_tuple(builder, signature.return_type, each)
+
+    result = types.UniTuple(types.float64, len(numbers)) if several else types.float64
+    return result(numbers, types.int64), generate
+
+
+@inlined
+def step(i, now, after, command, push, period, forward, backward, friction, stops):
+    """Take plant ``i`` through a hold period in which it slides or sticks all the way; return 1 if it does not, else 0.
+
+    ``now`` and ``after`` are rows of position, velocity and motor force, ``command`` is a row [N], and ``stops`` marks
+    the plants for :func:`step_again`. ``push`` [N] and ``forward``, ``backward`` and ``friction``, as :func:`advance`
+    takes them, are rows or numbers for all plants.
+    """
+    (q, v, tau), (q1, v1, tau1) = now, after
+    quiet, q1[i], v1[i], tau1[i] = uneventful(
+        q[i], v[i], tau[i], command[i], of_plant(push, i), period, of_plant(forward, i), of_plant(backward, i),
+        of_plant(friction, i),
+    )  # fmt: skip
+    stops[i] = 0.0 if quiet else 1.0
+    return 0 if quiet else 1
+
+
+@inlined
+def step_again(now, after, command, push, period, forward, backward, friction, t, stops, lost, nothing):
+    """Step each plant that ``stops`` marks and that is not ``lost`` again, alone, through its stops and starts.
+
+    ``nothing`` are two zeros: no event is recorded. The rest is as in :func:`step`.
+    """
+    (q, v, tau), (q1, v1, tau1) = now, after
+    for i in range(LANES):
+        if stops[i] > 0.0 and lost[i] == 0.0:
+            q1[i], v1[i], tau1[i] = advance(
+                q[i], v[i], tau[i], command[i], of_plant(push, i), period, of_plant(forward, i), of_plant(backward, i),
+                of_plant(friction, i), t, stops, nothing,
+            )  # fmt: skip

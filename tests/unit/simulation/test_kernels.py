@@ -139,7 +139,7 @@ def test_the_steppers_cache_depends_on_every_file_it_is_built_from():
             "smooth_period",
         },
         baseline.run_folded: {"baseline", "compile", "friction_period"},
-        baseline.run_lanes: {"baseline", "compile", "friction_period"},
+        baseline.run_lanes: {"baseline", "compile", "friction_period", "lanes"},
         side_by_side.run_lanes: {
             "compile",
             "environment",
