@@ -19,7 +19,7 @@ from emps_design.control.nested_loops import worst_loop
 from emps_design.laws.library import ip_velocity
 from emps_design.quantities import one_two_five
 from emps_design.request import Request, option, takes
-from emps_design.simulation.view import scenario_view
+from emps_design.simulation.scenarios import scenario_view
 from emps_design.units import Units
 from emps_design.view import View, Viewed
 

@@ -30,7 +30,7 @@ from emps_design.control.impedance.passivity import (
     sampled_loop,
     sampled_loops,
 )
-from emps_design.control.impedance.robustness import VERDICTS, break_away, corner_errors, stacked
+from emps_design.control.impedance.robustness import VERDICTS, break_away, exact_and_corners, stacked
 from emps_design.control.sampled import MARGINAL
 from emps_design.errors import InputError
 from emps_design.simulation.kernels.compile import inlined, part
@@ -258,8 +258,7 @@ def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], flo
 
 def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, float]:
     """Return the settling time of the released carriage and the time in which a limit cycle shows, both [s]."""
-    plant, clock = FrictionModel.of(axis), Clock.of(axis)
-    corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
+    plant, clock, corners = FrictionModel.of(axis), Clock.of(axis), exact_and_corners(mismatch)
     together, decay = law.with_errors(stacked(corners)), math.inf
     for direction in plant.directions:
         loops = sampled_loops(numbers(together, plant, direction), clock, law.velocity_estimator, law.force_sensor)

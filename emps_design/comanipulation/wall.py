@@ -17,7 +17,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.passivity import Clock, Environment, largest_wall, relay_oscillations, sampled_loop
-from emps_design.control.impedance.robustness import break_away, corner_errors, stacked
+from emps_design.control.impedance.robustness import break_away, exact_and_corners, stacked
 from emps_design.errors import InputError, SimulationError
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.plant import Plant
@@ -173,8 +173,7 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
     >>> limit.simulated < limit.linear
     True
     """
-    plant, clock = FrictionModel.of(axis), Clock.of(axis)
-    corners: list[dict[str, float]] = [{}, *(corner_errors(mismatch) if mismatch else ())]
+    plant, clock, corners = FrictionModel.of(axis), Clock.of(axis), exact_and_corners(mismatch)
     laws = [law.with_errors(errors) for errors in corners]
     together = law.with_errors(stacked(corners))
     walls = [largest_wall(corner_law, plant, clock) for corner_law in laws]

@@ -31,7 +31,7 @@ SCENARIOS = {
 
 def read_positions(path: str | Path, axis: Axis) -> Any:
     """The reference (n,) in the file at ``path``, in the clock of ``axis``."""
-    from emps_design.simulation.scenarios import read_reference
+    from emps_design.simulation.synthetic import read_reference
 
     return read_reference(Path(path), axis.sampling.period, axis.units)[0]
 
@@ -67,16 +67,15 @@ class CompensateRequest(Request):
     @property
     def positions(self) -> np.ndarray:
         """The reference (n,) [m]."""
-        from emps_design.simulation import scenarios
-        from emps_design.simulation.synthetic import trapezoid_laps
+        from emps_design.simulation.synthetic import half_ramp_program, multi_sine, trapezoid_laps
 
         period = self.axis.sampling.period
         if self.reference is not None:
             return self.reference
         if self.motion == "half-ramp":
-            return scenarios.half_ramp_program(period, (self.speed, 0.5 * self.speed, 0.25 * self.speed))
+            return half_ramp_program(period, (self.speed, 0.5 * self.speed, 0.25 * self.speed))
         if self.motion == "multi-sine":
-            return scenarios.multi_sine(period, amplitude=0.5 * self.stroke)
+            return multi_sine(period, amplitude=0.5 * self.stroke)
         return trapezoid_laps(period, self.stroke, self.speed, self.acceleration, laps=1)
 
 

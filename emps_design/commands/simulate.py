@@ -109,6 +109,7 @@ def _simulated(request: SimulateRequest) -> Any:
     if request.wanted == "comanipulation":
         return _comanipulation(request)
     from emps_design.simulation import scenarios
+    from emps_design.simulation.synthetic import read_reference
 
     if request.wanted == "breakaway":
         return scenarios.breakaway(request.machine, request.rate, request.peak)
@@ -116,7 +117,7 @@ def _simulated(request: SimulateRequest) -> Any:
     if request.record is not None:
         return scenarios.replay(machine, read_record(request.record, machine))
     assert request.reference is not None
-    reference = scenarios.read_reference(request.reference, machine.sampling.period, machine.units)
+    reference = read_reference(request.reference, machine.sampling.period, machine.units)
     return scenarios.follow(machine, *reference)
 
 

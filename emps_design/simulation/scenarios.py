@@ -1,45 +1,35 @@
 """Scenarios of the command ``simulate``: replay a record, follow a reference, raise a force until the axis moves.
 
-Reference programs and the force ramp are arrays (n,), SI, sampled at the drive's period; numbers out of range raise
-:class:`InputError`. A reference file, .csv or .npz, has ``t`` [s], ``q_ref`` [m], optional ``f_ext`` [N] and
-``excitation`` [V]. For a loop that diverges, :func:`unstable` proposes the nearest controller parameter with which it
-runs.
+For a loop that diverges, :func:`unstable` proposes the nearest controller parameter with which it runs.
+:func:`scenario_view` shows the numbers of a result, a line each.
 """
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.nested_loops import loop_in_words, nested_loops, worst_loop
-from emps_design.errors import AxisError, InputError, RecordError, SimulationError, UnstableError
-from emps_design.files import read_bytes
+from emps_design.errors import AxisError, InputError, SimulationError, UnstableError
 from emps_design.laws import leaves
 from emps_design.observer import motor_force
 from emps_design.records import Record
-from emps_design.records.archives import read_archive
 from emps_design.records.check import LONGEST
-from emps_design.records.columns import PLAIN, read_title
-from emps_design.records.tables import read_plain_table
+from emps_design.records.columns import PLAIN
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import EVENTS, Run, driven_by
-from emps_design.simulation.view import scenario_view
+from emps_design.simulation.synthetic import check_positive
 from emps_design.units import Units
 from emps_design.view import Cell, Line, Table, View, Viewed
 
 STEP = math.sqrt(2.0)  # factor from one trial value of a controller parameter to the next
 STEPS = 12  # in each direction; further away a loop runs because it hardly moves
-
-MAX_BYTES = 100_000_000
-MAX_SAMPLES = LONGEST
 
 ERRORS = {"position": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}  # units of the errors of a replay
 ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
@@ -47,73 +37,24 @@ DROPPED = 50  # samples left out of the relative errors, as in the report of the
 SPAN = 8  # samples over which the velocity after a gap is averaged
 NEIGHBOURS = 2  # samples on each side that enter an acceleration
 
+MOVED = 1e-3  # m of travel that count as break-away if friction is an elastic contact, which moves from the start
+COARSE = 0.01  # rise of the push per sample, as a share of the break-away force, above which a warning says so
 
-def half_ramp_program(
-    period: float, speeds: tuple[float, ...] = (0.2, 0.1, 0.05), segment: float = 0.5, laps: int = 1
-) -> np.ndarray:
-    """Position [m] whose velocity varies linearly half the time and is constant the other half, section III-A.
-
-    For each of ``speeds`` [m/s]: ramp, constant, ramp, forth and back, each ``segment`` seconds of constant velocity
-    between two ramps of half that; it ends where it began.
-
-    >>> q = half_ramp_program(1e-3)
-    >>> v = np.diff(q) / 1e-3
-    >>> constant = np.abs(np.diff(v)) < 1e-9
-    >>> round(float(constant.mean()), 2), abs(float(q[-1])) < 1e-9
-    (0.5, True)
-    """
-    _positive(period=period, segment=segment, laps=laps, **{f"speeds[{i}]": v for i, v in enumerate(speeds)})
-    ramp, flat = max(1, round(0.5 * segment / period)), max(1, round(segment / period))
-    up = (np.arange(ramp) + 0.5) / ramp
-    shape = np.concatenate([up, np.ones(flat), up[::-1]])
-    velocity = np.concatenate([sign * speed * shape for speed in speeds for sign in (1.0, -1.0)])
-    return np.concatenate([[0.0], np.cumsum(np.tile(velocity, int(laps))) * period])
-
-
-def multi_sine(
-    period: float,
-    duration: float = 10.0,
-    frequencies: tuple[float, ...] = (0.3, 0.7, 1.1, 2.3, 4.1),
-    amplitude: float = 0.02,
-    seed: int = 0,
-) -> np.ndarray:
-    """Position [m]: sines of equal velocity at ``frequencies`` [Hz], phases from ``seed``, peak ``amplitude`` [m].
-
-    It fades in over the first half second, so that it starts at rest at 0.
-
-    >>> q = multi_sine(1e-3, duration=4.0)
-    >>> abs(float(q[0])), round(float(np.abs(q).max()), 6)
-    (0.0, 0.02)
-    """
-    _positive(period=period, duration=duration, amplitude=amplitude, **{f"f{i}": f for i, f in enumerate(frequencies)})
-    t = np.arange(round(duration / period)) * period
-    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(frequencies))
-    q = sum(np.sin(2.0 * np.pi * f * t + phase) / f for f, phase in zip(frequencies, phases, strict=True))
-    q *= 0.5 - 0.5 * np.cos(np.pi * np.minimum(t / 0.5, 1.0))
-    return amplitude * q / np.abs(q).max()
-
-
-def force_ramp(period: float, rate: float, peak: float, units: Units = PLAIN) -> np.ndarray:
-    """Force [N] that rises at ``rate`` [N/s] from 0 to ``peak`` [N] (a negative peak falls) on an axis of ``units``.
-
-    >>> force_ramp(0.1, 10.0, 2.0)
-    array([0., 1., 2.])
-    """
-    _positive(period=period, rate=rate, peak=abs(peak))
-    n = round(abs(peak) / (rate * period)) + 1
-    if n > LONGEST:
-        raise InputError(
-            f"rate: found {units.quantity(rate, 'N/s', 'g')}, so that a rise to {units.quantity(abs(peak), 'N', 'g')} "
-            f"takes {n * period:.4g} s; expected at most {LONGEST * period:.4g} s ({LONGEST} samples): "
-            "raise it faster, or not as far"
-        )
-    return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
-
-
-def _positive(**numbers: float) -> None:
-    for name, value in numbers.items():
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name}: found {value:g}, expected a positive number")
+# Keys of a document that have no line: they are in the title, said elsewhere, or for the JSON alone.
+NO_LINE = (
+    "run",
+    "study",
+    "law",
+    "task",
+    "units",
+    "warnings",
+    "scenario",
+    "axis",
+    "effort",
+    "headline",
+    "reason",
+    "worst_loop",
+)
 
 
 def unstable(axis: Axis, error: SimulationError, simulate: Callable[[Axis], Any]) -> UnstableError:
@@ -172,64 +113,6 @@ def _runs(axis: Axis, name: str, value: float, simulate: Callable[[Axis], Any]) 
     except (SimulationError, AxisError):
         return False
     return True
-
-
-def read_reference(
-    path: str | Path, period: float, units: Units = PLAIN
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Return ``q_ref`` (n,) [m], ``f_ext`` (n,) [N] or None and ``excitation`` (n,) [V] or None.
-
-    They are interpolated at multiples of ``period`` [s]; an excitation is held from one row to the next.
-    ``units`` are those of the axis. Raises :class:`RecordError` for a file without these columns, with numbers that are
-    not finite, or with a time that does not increase.
-    """
-    try:
-        content = read_bytes(Path(path), MAX_BYTES, "expected a .csv or .npz reference")
-    except InputError as error:
-        raise RecordError(str(error)) from error
-    return reference_from_bytes(content, str(path), period, units)
-
-
-def reference_from_bytes(
-    content: bytes, name: str, period: float, units: Units = PLAIN
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    r""":func:`read_reference` for the ``content`` of a file called ``name``.
-
-    >>> reference_from_bytes(b"t,q_ref [mm]\n0,0\n0.2,4\n", "way.csv", 0.1)[0].tolist()
-    [0.0, 0.002, 0.004]
-    """
-    if content[:2] == b"PK":
-        columns = read_archive(io.BytesIO(content), name, MAX_BYTES)
-    else:
-        columns = read_plain_table(content, name, "expected columns t, q_ref (.csv or .npz)")
-    named = {}
-    for text, values in columns.items():
-        title = read_title(text, name, units)
-        if title.name in ("t", "q_ref", "f_ext", "excitation"):
-            named[title.name] = np.ravel(np.asarray(values)).astype(float) * title.factor
-    missing = [column for column in ("t", "q_ref") if column not in named]
-    if missing:
-        raise RecordError(f"{name}: missing column {', '.join(missing)}; found {', '.join(columns)}; expected t, q_ref")
-    t = named["t"]
-    for column, values in named.items():
-        if values.size != t.size or t.size < 2:
-            raise RecordError(
-                f"{name}: column {column}: found {values.size} samples, expected {max(2, t.size)} as in t"
-            )
-        if not np.isfinite(values).all():
-            raise RecordError(f"{name}: column {column}: sample {int(np.argmin(np.isfinite(values)))} is not finite")
-    if not (np.diff(t) > 0).all():
-        raise RecordError(
-            f"{name}: column t: sample {int(np.argmin(np.diff(t) > 0)) + 1} is not later than the one before"
-        )
-    n = int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1
-    if not 2 <= n <= MAX_SAMPLES:
-        raise RecordError(f"{name}: {t[-1] - t[0]:g} s at {period:g} s are {n} samples, expected 2 to {MAX_SAMPLES}")
-    grid = t[0] + np.arange(n) * period
-    force = np.interp(grid, t, named["f_ext"]) if "f_ext" in named else None
-    held = np.searchsorted(t, grid + 1e-6 * period, side="right") - 1
-    excitation = named["excitation"][held] if "excitation" in named else None
-    return np.interp(grid, t, named["q_ref"]), force, excitation
 
 
 def relative_error_percent(
@@ -423,8 +306,21 @@ class Breakaway(Viewed):
         return scenario_view(self.to_dict(), self.axis.units)
 
 
-MOVED = 1e-3  # m of travel that count as break-away if friction is an elastic contact, which moves from the start
-COARSE = 0.01  # rise of the push per sample, as a share of the break-away force, above which a warning says so
+def force_ramp(period: float, rate: float, peak: float, units: Units = PLAIN) -> np.ndarray:
+    """Force [N] that rises at ``rate`` [N/s] from 0 to ``peak`` [N] (a negative peak falls) on an axis of ``units``.
+
+    >>> force_ramp(0.1, 10.0, 2.0)
+    array([0., 1., 2.])
+    """
+    check_positive(period=period, rate=rate, peak=abs(peak))
+    n = round(abs(peak) / (rate * period)) + 1
+    if n > LONGEST:
+        raise InputError(
+            f"rate: found {units.quantity(rate, 'N/s', 'g')}, so that a rise to {units.quantity(abs(peak), 'N', 'g')} "
+            f"takes {n * period:.4g} s; expected at most {LONGEST * period:.4g} s ({LONGEST} samples): "
+            "raise it faster, or not as far"
+        )
+    return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
 
 
 def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: float = 0.0) -> Breakaway:
@@ -562,3 +458,41 @@ def _closed_loop(axis: Axis, driven: Callable[[Axis], dict[str, Any]]) -> Run:
         return simulate(axis)
     except SimulationError as error:
         raise unstable(axis, error, simulate) from error
+
+
+def scenario_view(document: dict[str, Any], units: Units) -> View:
+    """The headline of the ``document`` of a scenario, where it has one, and a table of its numbers.
+
+    >>> breakaway = {"scenario": "breakaway", "axis": "joint", "forward": 0.0123, "units": {"forward": "N m"}}
+    >>> scenario_view(breakaway, Units("rotary"))[0].rows
+    [('forward', '0.0123', 'N m')]
+    """
+    headline = [Line(document["headline"])] if "headline" in document else []
+    rows = list(_rows(document, document.get("units", {}), units))
+    title = f"{document['scenario']}, axis {document['axis']}"
+    return (*headline, Table(("quantity", "value", "unit"), rows, title))
+
+
+def _rows(
+    document: dict[str, Any], unit_of: dict[str, str], units: Units, inside: tuple[str, ...] = ()
+) -> Iterator[tuple[str, Cell, str]]:
+    """Name, value and unit of each number; ``unit_of`` has a unit by the name of a quantity, or of a group of them."""
+    for key, value in document.items():
+        path = (*inside, key)
+        if key in NO_LINE:
+            continue
+        if isinstance(value, dict):
+            yield from _rows(value, unit_of, units, path)
+        elif value != []:
+            base = next((unit_of[name] for name in path if name in unit_of), "")
+            yield units.words(" ".join(path).replace("_", " ")), *_shown(value, base, units)
+
+
+def _shown(value: Any, base: str, units: Units) -> tuple[Cell, str]:
+    """``value`` [``base``] as a cell, and its unit."""
+    if isinstance(value, float) and math.isfinite(value):
+        unit, factor = units.display(value, base)
+        return f"{factor * value:.6g}", unit
+    if value is None or isinstance(value, float):
+        return None, ""
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value), ""

@@ -136,8 +136,7 @@ def reference_of(
 
     ``file`` is a name and a content with the columns t, q_ref, and f_ext if a force acts.
     """
-    from emps_design.simulation.scenarios import reference_from_bytes
-    from emps_design.simulation.synthetic import there_and_back
+    from emps_design.simulation.synthetic import reference_from_bytes, there_and_back
 
     period = state.axis.sampling.period
     if state.motion == "file":

@@ -24,7 +24,7 @@ from emps_design.machines import machine
 from emps_design.records import Record, read_record
 from emps_design.report.page import Callout, Facts, Page, Picture, Points, Section, Table, Text
 from emps_design.report.style import subplots
-from emps_design.simulation.scenarios import read_reference
+from emps_design.simulation.synthetic import read_reference
 from tests.property.fuzzing import fuzz
 
 STATUSES = (0, 2, 3, 4)

@@ -72,6 +72,11 @@ def corner_errors(mismatch: float, two_quadrant: bool = False) -> list[dict[str,
     return [dict(zip(names, corner, strict=True)) for corner in product(errors, repeat=len(names))]
 
 
+def exact_and_corners(mismatch: float) -> list[dict[str, float]]:
+    """No errors, then every corner of :func:`corner_errors`; no errors alone where the ``mismatch`` is 0."""
+    return [{}, *(corner_errors(mismatch) if mismatch else ())]
+
+
 def stacked(corners: Sequence[dict[str, float]]) -> dict[str, np.ndarray]:
     """The errors at several ``corners`` as arrays (m,), as :meth:`.ImpedanceLaw.with_errors` takes them.
 

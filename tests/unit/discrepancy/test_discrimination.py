@@ -18,8 +18,7 @@ from emps_design.effects import REGISTRY, get_effect, register
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant
-from emps_design.simulation.scenarios import multi_sine
-from emps_design.simulation.synthetic import synthetic_record, trapezoid_laps
+from emps_design.simulation.synthetic import multi_sine, synthetic_record, trapezoid_laps
 from emps_design.units import Units
 from tests.studies import quick
 

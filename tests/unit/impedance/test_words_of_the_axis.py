@@ -22,8 +22,7 @@ from emps_design.observer import KalmanForceObserver, smallest_observable_force
 from emps_design.simulation.kernels import hold_loop
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import Run
-from emps_design.simulation.scenarios import _no_break_away, breakaway, force_ramp
-from emps_design.simulation.view import scenario_view
+from emps_design.simulation.scenarios import _no_break_away, breakaway, force_ramp, scenario_view
 from tests.axes import KINDS, axis_of
 from tests.rewriting import rewritten
 

@@ -10,8 +10,9 @@ from emps_design.cli.app import run as command_line
 from emps_design.discrepancy.preparation import check_law, law_voltage
 from emps_design.errors import InputError, RecordError
 from emps_design.machines import machine
-from emps_design.simulation import Plant, Run, breakaway, replay, scenarios as programs, trapezoid_laps
-from emps_design.simulation.scenarios import follow, read_reference
+from emps_design.simulation import Plant, Run, breakaway, replay, synthetic as programs, trapezoid_laps
+from emps_design.simulation.scenarios import follow, force_ramp
+from emps_design.simulation.synthetic import read_reference
 from tests.unit.records.with_gaps import as_one, lost
 
 AXIS = machine("emps2019")
@@ -139,8 +140,8 @@ def test_half_of_the_program_is_ramp_and_half_constant():
     for call in (
         lambda: programs.half_ramp_program(0.0),
         lambda: programs.multi_sine(1e-3, duration=-1.0),
-        lambda: programs.force_ramp(1e-3, 1.0, 0.0),
-        lambda: programs.force_ramp(1e-3, np.nan, 1.0),
+        lambda: force_ramp(1e-3, 1.0, 0.0),
+        lambda: force_ramp(1e-3, np.nan, 1.0),
     ):
         with pytest.raises(InputError, match="expected a positive number"):
             call()
