@@ -11,7 +11,7 @@ class Derivation(Directive):
     required_arguments = 1
 
     def run(self):
-        from emps_design.paper.derivations import derivation
+        from emps_design.paper.errata import derivation
         from emps_design.paper.written import latex
 
         lines: list[str] = []
@@ -51,8 +51,7 @@ class PaperEquations(Directive):
     required_arguments = 2
 
     def run(self):
-        from emps_design.paper.derivations import derivation
-        from emps_design.paper.errata import PLACES
+        from emps_design.paper.errata import PLACES, derivation
         from emps_design.paper.written import EQUATIONS, latex
 
         steps = [step for _, steps in derivation().values() for step in steps]

@@ -28,10 +28,9 @@ def answer(request: DeriveRequest) -> Reply:
         return Reply({}, (Line(errata.document(), "code"),), LINEAR)
     from emps_design.laws.friction_model import FrictionModel
     from emps_design.machines import machine
-    from emps_design.paper.derivations import derivation
-    from emps_design.paper.derivations.impedance import cost_of_printed
+    from emps_design.paper.loops import cost_of_printed
 
-    parts = derivation()
+    parts = errata.derivation()
     cost = cost_of_printed(FrictionModel.of(machine(MACHINE)), mass=MASS, damping=DAMPING)
     document: dict[str, Any] = {
         **{

@@ -1,6 +1,6 @@
-from .derivations import DerivationStep as DerivationStep, derivation as derivation
-from .derivations.impedance import cost_of_printed as cost_of_printed
-from .errata import Erratum as Erratum, find_errata as find_errata
+from .errata import Erratum as Erratum, derivation as derivation, find_errata as find_errata
+from .loops import cost_of_printed as cost_of_printed
+from .model import DerivationStep as DerivationStep
 from .virtual_bench import (
     NUMBERS as NUMBERS,
     PRINTED as PRINTED,

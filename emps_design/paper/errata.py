@@ -1,5 +1,6 @@
 """Errata of the paper: every step of the derivations that is not as printed, and the errors outside equations.
 
+:func:`derivation` derives the paper's equations from its premises, and compares them with what it prints.
 ``PLACES`` gives for each numbered equation where the package has it; :func:`document` writes the derivations as a LaTeX
 document that compiles by itself: article, amsmath, nothing else.
 """
@@ -7,10 +8,11 @@ document that compiles by itself: article, amsmath, nothing else.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-from emps_design.paper.derivations import derivation
-from emps_design.paper.derivations.model import NOT_AS_PRINTED, DerivationStep
+from emps_design.paper.loops import derive_force_loop, derive_impedance, derive_pi_loop, derive_velocity_loop
+from emps_design.paper.model import NOT_AS_PRINTED, DerivationStep, derive_least_squares, derive_model
 from emps_design.paper.written import latex
 from emps_design.view import Line, View
 
@@ -21,6 +23,22 @@ HEAD = r"""\documentclass[10pt]{article}
 \allowdisplaybreaks
 \begin{document}
 """
+
+
+@cache
+def derivation() -> dict[str, tuple[str, tuple[DerivationStep, ...]]]:
+    """Title and steps of each part, by name.
+
+    >>> list(derivation())
+    ['model', 'cascade', 'pi', 'identification', 'impedance']
+    """
+    return {
+        "model": ("Drive and carriage, (1) to (5)", derive_model()),
+        "cascade": ("Velocity and force loop, (6) to (11)", (*derive_velocity_loop(), *derive_force_loop())),
+        "pi": ("The velocity loop of a servo drive, PI", derive_pi_loop()),
+        "identification": ("Identification and observation, (12) to (23)", derive_least_squares()),
+        "impedance": ("Impedance law, (24) to (30)", derive_impedance()),
+    }
 
 
 @dataclass(frozen=True)
@@ -98,7 +116,7 @@ PLACES: dict[str, tuple[str, ...]] = {
     "23": (_DIRECT,),
     "24": (_LAW,),
     "25": (_LAW, "emps_design.control.impedance.law.equivalent_impedance"),
-    "26": ("emps_design.paper.derivations.impedance.derived_law",),
+    "26": ("emps_design.paper.loops.derived_law",),
     "27": (f"{_LIBRARY}.demanded_force",),
     "28": (f"{_LIBRARY}.demanded_force",),
     "29": (f"{_LIBRARY}.observed_force", "emps_design.observer.ForceObserver"),

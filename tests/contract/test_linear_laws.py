@@ -60,7 +60,7 @@ def test_symbols_through_the_kernel_are_the_derived_law():
     import sympy as sp
 
     from emps_design.paper import written as d
-    from emps_design.paper.derivations.impedance import derived_law
+    from emps_design.paper.loops import derived_law
 
     i, T_s, tau = impedance_file, sp.Symbol("T", positive=True), sp.Symbol("tau", real=True)
     law = ImpedanceLaw(50.0, 100.0, FrictionModel(115.0, 470.0, 470.0, 17.0, 17.0), stiffness=30.0)
@@ -85,7 +85,7 @@ def test_symbols_through_the_kernel_are_the_derived_law():
 
 def test_the_pure_algebra_is_the_derived_law():
     from emps_design.paper import written as d
-    from emps_design.paper.derivations.impedance import derived_law
+    from emps_design.paper.loops import derived_law
 
     i = impedance_file
     observed = i.observed_force(d.M_h, d.F_vh, d.F_ch * d.S, 1, d.qdd, d.qd, d.G_ti * d.current)

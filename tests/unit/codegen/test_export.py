@@ -15,9 +15,8 @@ from emps_design.codegen.block import Ahead, Block
 from emps_design.codegen.languages import functions_in_c, functions_in_st
 from emps_design.codegen.program import ARRAY, REAL
 from emps_design.codegen.reader import read_program
-from emps_design.codegen.single import Runner, Stepper
 from emps_design.codegen.targets import block_name, commit, single_precision
-from emps_design.codegen.vectors import vectors_of
+from emps_design.codegen.vectors import Runner, Stepper, vectors_of
 from emps_design.compensation import FeedForward
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError

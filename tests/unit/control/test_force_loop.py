@@ -15,7 +15,7 @@ from emps_design.errors import InputError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
 from emps_design.paper import written as y
-from emps_design.paper.derivations.velocity_loop import derive_force_loop
+from emps_design.paper.loops import derive_force_loop
 
 LOOP = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
 

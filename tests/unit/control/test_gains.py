@@ -21,7 +21,7 @@ from emps_design.control.velocity.specification import check_specification
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 from emps_design.paper import written as y
-from emps_design.paper.derivations.velocity_loop import derive_velocity_loop
+from emps_design.paper.loops import derive_velocity_loop
 
 MASS, VISCOUS, FORCE_GAIN = 115.7315, 474.9727, 35.15
 

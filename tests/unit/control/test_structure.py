@@ -20,7 +20,7 @@ from emps_design.laws import law_of
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
 from emps_design.paper import written as y
-from emps_design.paper.derivations.velocity_loop import derive_pi_loop
+from emps_design.paper.loops import derive_pi_loop
 
 AXIS = machine("emps2018")
 CASCADE = {

@@ -8,18 +8,20 @@ import pytest
 import sympy as sp
 
 from emps_design.paper import written as y
-from emps_design.paper.derivations import derivation
-from emps_design.paper.derivations.impedance import MODEL, TARGET, derive_impedance, derived_law
-from emps_design.paper.derivations.model import column_factor, covariance, covariance_step, estimator
-from emps_design.paper.derivations.velocity_loop import (
+from emps_design.paper.errata import derivation, document, find_errata
+from emps_design.paper.loops import (
     CARRIAGE,
     CORRECTION,
+    MODEL,
+    TARGET,
     carriage_step,
     characteristic,
+    derive_impedance,
     derive_velocity_loop,
+    derived_law,
     limits,
 )
-from emps_design.paper.errata import document, find_errata
+from emps_design.paper.model import column_factor, covariance, covariance_step, estimator
 from emps_design.paper.written import EQUATIONS, TABLE_TEXT, Equation, latex, text
 
 

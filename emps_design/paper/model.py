@@ -1,4 +1,4 @@
-"""A step of a derivation, and the steps of the paper's model.
+"""A step of a derivation, and the steps of the paper's model and its least squares.
 
 (1) to (5): drive and carriage from Newton's law, and the model linear in its parameters. (12) to (23): least squares
 for any number of samples and parameters, its statistics, and the observed force.
