@@ -22,10 +22,8 @@ from emps_design.laws import law_of
 from emps_design.progress import Progress
 from emps_design.records import Record
 from emps_design.simulation.kernels import baseline as core
-from emps_design.simulation.kernels.baseline import ROWS, run_lanes
 from emps_design.simulation.kernels.lanes import LANES, room
 from emps_design.simulation.plant import Plant
-from emps_design.simulation.request import ClosedLoopRun
 from emps_design.simulation.scenarios import DROPPED
 
 BASELINE = ("mass", "viscous", "coulomb", "offset")
@@ -57,6 +55,11 @@ class Plants:
     def __len__(self) -> int:
         return self.baseline.shape[0]
 
+    def part(self, start: int, stop: int) -> Plants:
+        """The plants from ``start`` to ``stop``."""
+        parameters = tuple(values[start:stop] for values in self.parameters)
+        return Plants(self.baseline[start:stop], parameters, self.names, self.values[start:stop])
+
 
 def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, seed: int = 0) -> Plants:
     """Draw ``plants`` plants uniformly within +- ``spread``, relative, of each name or of the whole baseline.
@@ -72,7 +75,7 @@ def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, se
     if plants < 1:
         raise InputError(f"plants: found {plants}, expected at least 1")
     factors = np.random.default_rng(seed).uniform(-1.0, 1.0, (plants, len(spreads)))
-    return _scaled(axis, tuple(spreads), 1.0 + factors * np.array(list(spreads.values())))
+    return _varied(axis, tuple(spreads), 1.0 + factors * np.array(list(spreads.values())), relative=True)
 
 
 def corners(axis: Axis, spread: float | Mapping[str, float]) -> Plants:
@@ -88,7 +91,7 @@ def corners(axis: Axis, spread: float | Mapping[str, float]) -> Plants:
     if len(spreads) > 16:
         raise InputError(f"corners: found {len(spreads)} parameters, expected at most 16 (2^16 plants)")
     signs = np.array([(0.0,) * len(spreads), *product((-1.0, 1.0), repeat=len(spreads))])
-    return _scaled(axis, tuple(spreads), 1.0 + signs * np.array(list(spreads.values())))
+    return _varied(axis, tuple(spreads), 1.0 + signs * np.array(list(spreads.values())), relative=True)
 
 
 def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
@@ -101,7 +104,7 @@ def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
     row = np.asarray(values, dtype=float)
     if row.ndim != 1 or row.size == 0 or not np.isfinite(row).all():
         raise InputError(f"sweep of {name}: found {row.tolist()}, expected a row of finite numbers")
-    return _placed(axis, (name,), row[:, None])
+    return _varied(axis, (name,), row[:, None])
 
 
 def _parameter_places(axis: Axis) -> dict[str, tuple[int, int]]:
@@ -121,29 +124,21 @@ def _spreads(axis: Axis, spread: float | Mapping[str, float]) -> dict[str, float
     return spreads
 
 
-def _nominal(axis: Axis, names: tuple[str, ...]) -> np.ndarray:
-    known, plant = _parameter_places(axis), Plant.of(axis)
-    for name in names:
+def _varied(axis: Axis, names: tuple[str, ...], values: np.ndarray, relative: bool = False) -> Plants:
+    """Plants with ``values`` (m, len(names)) of the parameters ``names``; ``relative``: times those of ``axis``."""
+    known, plant, m = _parameter_places(axis), Plant.of(axis), len(values)
+    baseline = np.tile(plant.baseline, (m, 1))
+    parameters = tuple(np.tile(p, (m, 1)) for p in plant.parameters)
+    values = values.copy()
+    for column, name in enumerate(names):
         if name not in known:
             raise InputError(
                 f"parameter: found {name!r}, expected one of {', '.join(known)}{nearest_name(name, list(known))}"
             )
-    places = [known[name] for name in names]
-    return np.array([(plant.baseline if place < 0 else plant.parameters[place])[i] for place, i in places])
-
-
-def _scaled(axis: Axis, names: tuple[str, ...], factors: np.ndarray) -> Plants:
-    return _placed(axis, names, _nominal(axis, names) * factors)
-
-
-def _placed(axis: Axis, names: tuple[str, ...], values: np.ndarray) -> Plants:
-    _nominal(axis, names)
-    known, plant, m = _parameter_places(axis), Plant.of(axis), len(values)
-    baseline = np.tile(plant.baseline, (m, 1))
-    parameters = tuple(np.tile(p, (m, 1)) for p in plant.parameters)
-    for column, name in enumerate(names):
         place, i = known[name]
-        (baseline if place < 0 else parameters[place])[:, i] = values[:, column]
+        own = baseline if place < 0 else parameters[place]
+        values[:, column] *= own[:, i] if relative else 1.0
+        own[:, i] = values[:, column]
     return Plants(baseline, parameters, names, values)
 
 
@@ -201,6 +196,8 @@ def simulate_ensemble(
     with a stage and a fraction. Ctrl-C returns the finished plants, the rest flagged ``unfinished``. Raises
     :class:`InputError` without a reference and a record, or if the axis has no controller.
     """
+    from joblib import Parallel, delayed
+
     if q_ref is None and record is not None:
         q_ref = record.q_ref
     if q_ref is None:
@@ -208,134 +205,127 @@ def simulate_ensemble(
     wanted = np.ascontiguousarray(q_ref, dtype=float)
     if record is not None and len(record) != wanted.size:
         raise InputError(f"ensemble: q_ref has {wanted.size} samples, the record {len(record)}; expected the same")
-    task = {
-        "axis": axis,
-        "q_ref": wanted,
-        "measured": None if record is None else (np.ascontiguousarray(record.q), np.ascontiguousarray(record.u)),
-        "disturbance": None if disturbance is None else np.ascontiguousarray(disturbance, dtype=float),
-        "quantise": quantise,
-    }
     law_of(axis, axis.sampling.period)  # refuse an axis without a loop before any work is handed out
-    size = _PART["lanes" if _fits_lanes(axis) else "single"]
-    parts = [(start, min(start + size, len(plants))) for start in range(0, len(plants), size)]
-    table = np.full((len(plants), len(METRICS)), np.nan)
-    status = np.full(len(plants), UNFINISHED)
+    course = Course(
+        axis,
+        wanted,
+        None if record is None else (np.ascontiguousarray(record.q), np.ascontiguousarray(record.u)),
+        None if disturbance is None else np.ascontiguousarray(disturbance, dtype=float),
+        quantise,
+    )
+    table, status = np.full((len(plants), len(METRICS)), np.nan), np.full(len(plants), UNFINISHED)
     reasons: dict[int, str] = {}
-    interrupted = _collect(task, plants, parts, table, status, reasons, workers, progress)
+    interrupted = False
+    size = _PART["lanes" if course.fits_lanes else "single"]
+    starts = range(0, len(plants), size)
+    calls = (delayed(course.part)(start, plants.part(start, start + size)) for start in starts)
+    answers = Parallel(n_jobs=workers, prefer="threads", return_as="generator_unordered", batch_size=1)(calls)
+    try:
+        for finished, (start, rows, failures) in enumerate(answers, 1):
+            part = slice(start, start + len(rows))
+            table[part], status[part] = rows, DONE
+            for index, reason in failures.items():
+                status[index], reasons[index] = FAILED, reason
+            if progress is not None:
+                progress("plants", finished / len(starts))
+    except KeyboardInterrupt:
+        answers.close()
+        interrupted = True
     metrics = {name: table[:, i] for i, name in enumerate(METRICS)}
     if record is None:
         metrics = {name: values for name, values in metrics.items() if name not in ("position_rms", "force_rms")}
     return Ensemble(plants, metrics, status, reasons, interrupted)
 
 
-def _collect(
-    task: dict[str, Any],
-    plants: Plants,
-    parts: list[tuple[int, int]],
-    table: np.ndarray,
-    status: np.ndarray,
-    reasons: dict[int, str],
-    workers: int,
-    progress: Progress | None,
-) -> bool:
-    """Simulate the parts and collect their results, in any order; returns whether it was interrupted."""
-    from joblib import Parallel, delayed
+@dataclass(frozen=True)
+class Course:
+    """What every plant of an ensemble follows: ``q_ref`` (n,) [m] on ``axis``, with a ``disturbance`` (n,) [N] or none.
 
-    finished = 0
-    pool = Parallel(n_jobs=workers, prefer="threads", return_as="generator_unordered", batch_size=1)
-    calls = (
-        delayed(simulate_part)(task, start, plants.baseline[start:stop], [p[start:stop] for p in plants.parameters])
-        for start, stop in parts
-    )
-    answers = pool(calls)
-    try:
-        for start, rows, why in answers:
-            stop = start + rows.shape[0]
-            table[start:stop] = rows
-            status[start:stop] = DONE
-            for index, reason in why.items():
-                status[index], reasons[index] = FAILED, reason
-            finished += 1
-            if progress is not None:
-                progress("plants", finished / len(parts))
-    except KeyboardInterrupt:
-        answers.close()
-        return True
-    return False
+    ``measured`` are position [m] and voltage [V], (n,) each, to compare with; ``quantise``: the encoder has steps.
+    """
 
+    axis: Axis
+    q_ref: np.ndarray
+    measured: tuple[np.ndarray, np.ndarray] | None
+    disturbance: np.ndarray | None
+    quantise: bool
 
-def simulate_part(
-    task: dict[str, Any], start: int, baselines: np.ndarray, parameters: list[np.ndarray]
-) -> tuple[int, np.ndarray, dict[int, str]]:
-    """Metrics of plants ``start`` to ``start + len(baselines)``: the start, one row per plant, reasons of failures."""
-    axis = task["axis"]
-    mass = axis.units.word("mass")
-    rows = np.full((len(baselines), len(METRICS)), np.nan)
-    reasons: dict[int, str] = {}
-    good = []
-    for i, b in enumerate(baselines):
-        if not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
-            reasons[start + i] = f"baseline {b.tolist()} is not a {mass} > 0 with friction >= 0, finite"
-        else:
-            good.append(i)
-    if _fits_lanes(axis):
-        rows[good] = _side_by_side(task, baselines[good])
-        good = [i for i in good if not np.isfinite(rows[i]).all()]  # those that the lanes gave up
-    plant = Plant.of(axis)
-    for i in good:
-        try:
-            rows[i] = _alone(task, plant, baselines[i], [values[i] for values in parameters])
-        except (SimulationError, InputError) as error:
-            rows[i], reasons[start + i] = np.nan, str(error)
-    return start, rows, reasons
+    @property
+    def q0(self) -> float:
+        """Position [m] at first."""
+        return float(self.q_ref[0] if self.measured is None else self.measured[0][0])
 
+    @property
+    def first(self) -> int:
+        """First sample that counts."""
+        return min(DROPPED, self.q_ref.size - 1)
 
-def _fits_lanes(axis: Axis) -> bool:
-    plain = not axis.effects and axis.drive.current_time_constant == 0 and axis.sampling.computation_delay == 0
-    return plain and law_of(axis, axis.sampling.period).state_feedback
+    @property
+    def fits_lanes(self) -> bool:
+        """Whether lanes can run it: the friction plant, its force the command's at once, under a state feedback."""
+        axis = self.axis
+        plain = not axis.effects and axis.drive.current_time_constant == 0 and axis.sampling.computation_delay == 0
+        return plain and law_of(axis, axis.sampling.period).state_feedback
 
+    def part(self, start: int, plants: Plants) -> tuple[int, np.ndarray, dict[int, str]]:
+        """Metrics of ``plants``, the first of which is number ``start``: that, a row per plant, reasons of failures."""
+        mass, baselines = self.axis.units.word("mass"), plants.baseline
+        rows = np.full((len(plants), len(METRICS)), np.nan)
+        reasons: dict[int, str] = {}
+        good = []
+        for i, b in enumerate(baselines):
+            if not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
+                reasons[start + i] = f"baseline {b.tolist()} is not a {mass} > 0 with friction >= 0, finite"
+            else:
+                good.append(i)
+        if good and self.fits_lanes:
+            rows[good] = self.side_by_side(baselines[good])
+            good = [i for i in good if not np.isfinite(rows[i]).all()]  # those that the lanes gave up
+        plant = Plant.of(self.axis)
+        for i in good:
+            try:
+                rows[i] = self.alone(plant, baselines[i], [values[i] for values in plants.parameters])
+            except (SimulationError, InputError) as error:
+                rows[i], reasons[start + i] = np.nan, str(error)
+        return start, rows, reasons
 
-def _side_by_side(task: dict[str, Any], baselines: np.ndarray) -> np.ndarray:
-    axis, reference = task["axis"], task["q_ref"]
-    m = len(baselines)
-    if m == 0:
-        return np.zeros((0, len(METRICS)))
-    padded = np.concatenate([baselines, np.repeat(baselines[:1], -m % LANES, axis=0)])
-    period, drive = axis.sampling.period, axis.drive
-    resolution = axis.sampling.encoder_resolution if task["quantise"] else 0.0
-    gains = law_of(axis, period).gains
-    numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, gains)
-    nothing = np.zeros(0)
-    push = nothing if task["disturbance"] is None else task["disturbance"]
-    measured_q, measured_u = task["measured"] or (nothing, nothing)
-    q0 = float(measured_q[0] if measured_q.size else reference[0])
-    first = min(DROPPED, reference.size - 1)
-    result = np.empty((len(padded), len(METRICS)))
-    scratch, none = room(ROWS), np.zeros(2, np.int64)
-    run_lanes(padded, numbers, (q0, 0.0), reference, push, measured_q, measured_u, first, scratch, none, result)
-    n = reference.size - first
-    result[:, :3] = np.sqrt(result[:, :3] / n)
-    result[:, 2] *= drive.gain
-    result[:, 4] /= n
-    return result[:m]
+    def side_by_side(self, baselines: np.ndarray) -> np.ndarray:
+        """Metrics of plants with ``baselines`` (m, 4) from the lanes, nan where they give up."""
+        m, axis, nothing = len(baselines), self.axis, np.zeros(0)
+        padded = np.concatenate([baselines, np.repeat(baselines[:1], -m % LANES, axis=0)])
+        period, drive = axis.sampling.period, axis.drive
+        resolution = axis.sampling.encoder_resolution if self.quantise else 0.0
+        gains = law_of(axis, period).gains
+        numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, gains)
+        push = nothing if self.disturbance is None else self.disturbance
+        result = np.empty((len(padded), len(METRICS)))
+        core.run_lanes(
+            padded, numbers, (self.q0, 0.0), self.q_ref, push, *(self.measured or (nothing, nothing)), self.first,
+            room(core.ROWS), np.zeros(2, np.int64), result,
+        )  # fmt: skip
+        n = self.q_ref.size - self.first
+        result[:, :3] = np.sqrt(result[:, :3] / n)
+        result[:, 2] *= drive.gain
+        result[:, 4] /= n
+        return result[:m]
 
-
-def _alone(task: dict[str, Any], plant: Plant, baseline: np.ndarray, parameters: list[np.ndarray]) -> np.ndarray:
-    reference, measured = task["q_ref"], task["measured"]
-    q0 = float(measured[0][0] if measured else reference[0])
-    push, quantise = task["disturbance"], task["quantise"]
-    run = plant.closed_loop(
-        ClosedLoopRun(
-            q_ref=reference, baseline=baseline, parameters=parameters, disturbance=push, q0=q0, quantise=quantise
+    def alone(self, plant: Plant, baseline: np.ndarray, parameters: list[np.ndarray]) -> np.ndarray:
+        """Metrics of one plant; raises :class:`SimulationError` where its simulation cannot continue."""
+        run = plant.closed_loop(
+            self.q_ref,
+            baseline=baseline,
+            parameters=parameters,
+            disturbance=self.disturbance,
+            q0=self.q0,
+            quantise=self.quantise,
         )
-    )
-    kept = slice(min(DROPPED, reference.size - 1), None)
+        kept = slice(self.first, None)
 
-    def rms(difference: np.ndarray) -> float:
-        return float(np.sqrt(np.mean(difference[kept] ** 2)))
+        def rms(difference: np.ndarray) -> float:
+            return float(np.sqrt(np.mean(difference[kept] ** 2)))
 
-    gain = plant.axis.drive.gain
-    missed = rms(measured[0] - run.q) if measured else 0.0
-    force = gain * rms(measured[1] - run.u) if measured else 0.0
-    rest = float(np.mean(run.v[kept] == 0.0))
-    return np.array([rms(reference - run.position), missed, force, float(np.abs(run.u).max()), rest])
+        gain = plant.axis.drive.gain
+        missed = rms(self.measured[0] - run.q) if self.measured else 0.0
+        force = gain * rms(self.measured[1] - run.u) if self.measured else 0.0
+        rest = float(np.mean(run.v[kept] == 0.0))
+        return np.array([rms(self.q_ref - run.position), missed, force, float(np.abs(run.u).max()), rest])
