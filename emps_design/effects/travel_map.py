@@ -1,4 +1,4 @@
-"""What effects that are a map over the travel share: a smooth curve through few knots, and its start.
+"""Effects that are a map over the travel, made by :func:`along`: a smooth curve through few knots, and its start.
 
 The travel from ``start`` to ``end`` is cut into six equal pieces. The curve is zero at the start, where the constant
 force or the Coulomb level of the axis holds, ``height_1`` to ``height_6`` at the other knots, and constant beyond both.
@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from emps_design.effects import harmonic
-from emps_design.effects.effect import Motion, Parameter, Parameters
-
-if TYPE_CHECKING:
-    import sympy
+from emps_design.effects.effect import Effect, Motion, Parameter, Parameters, Search
 
 PIECES = 6
 NAMES = tuple(f"height_{i + 1}" for i in range(PIECES))
@@ -90,7 +87,30 @@ def plausible(line: bool) -> Callable[[Parameters, Motion], bool]:
     return plausible
 
 
-def expression(q: sympy.Symbol, p: Parameters) -> sympy.Expr:
+def along(hook: str, what: str, confused_with: tuple[str, ...], line: bool = False, **declared: Any) -> Effect:
+    """Return the effect whose ``hook``, "force" or "dry", is the curve: ``what`` of it at each knot.
+
+    A force is filtered as the motion is, dry friction has the sign of the velocity. ``line``: a straight line is left
+    to another effect. ``declared`` are the other fields.
+    """
+
+    def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
+        curves = columns(motion, shape)
+        if hook == "dry":
+            return curves * np.sign(motion.v)[:, None]
+        return np.column_stack([motion.smooth(curve) for curve in curves.T])
+
+    def expression(q: Any, v: Any, t: Any, tau: Any, p: Parameters, b: np.ndarray) -> Any:
+        import sympy
+
+        return in_symbols(q, p) * sympy.sign(v) if hook == "dry" else in_symbols(q, p)
+
+    search = Search(propose=propose, plausible=plausible(line), confused_with=confused_with, general=True)
+    derived: dict[str, Any] = {hook: height, "regressor": regressor, "expression": expression, "search": search}
+    return Effect(parameters=parameters(what), over="q", **derived, **declared)
+
+
+def in_symbols(q: Any, p: Parameters) -> Any:
     """The curve in symbols."""
     import sympy
 

@@ -5,38 +5,20 @@ seven equally spaced knots (:mod:`emps_design.effects.travel_map`); a curve that
 fits as well is left to those.
 """
 
-import numpy as np
-
 from emps_design.effects import travel_map
-from emps_design.effects.effect import Claims, Effect, Motion, Parameters, Search, Words
-
-
-def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
-    return np.column_stack([motion.smooth(column) for column in travel_map.columns(motion, shape).T])
-
-
-def expression(q, v, t, tau, p, b):
-    return travel_map.expression(q, p)
-
+from emps_design.effects.effect import Claims, Words
 
 RISE = {"start": 0.0, "end": 0.6, **dict(zip(travel_map.NAMES, (1.0, 3.0, 2.0, -1.0, 0.0, 4.0), strict=True))}
 
-EFFECT = Effect(
+EFFECT = travel_map.along(
+    "force",
+    "force",
+    confused_with=("elastic_force", "friction_map", "position_ripple"),
+    line=True,
     name="force_map",
     label="Force over position",
     equation=r"F = h(q),\quad h \text{ a cubic spline through seven knots},\ h(q_0) = 0",
     source="look-up table over position, as drives keep one; B. Armstrong-Helouvry et al., Automatica 30 (1994)",
-    parameters=travel_map.parameters("force"),
-    force=travel_map.height,
-    over="q",
-    regressor=regressor,
-    expression=expression,
-    search=Search(
-        propose=travel_map.propose,
-        plausible=travel_map.plausible(line=True),
-        confused_with=("elastic_force", "friction_map", "position_ripple"),
-        general=True,
-    ),
     words=Words(
         where="slowly along the travel, with the same sign in both directions, at every speed alike",
         experiment="one slow constant-velocity stroke over the whole travel in each direction: half the sum is the map",

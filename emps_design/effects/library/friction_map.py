@@ -4,21 +4,8 @@ A screw worn or dry at one end, a nut preloaded more there, guides that run toge
 knots (:mod:`emps_design.effects.travel_map`); a level that repeats is ``position_dependent_friction``.
 """
 
-import numpy as np
-
 from emps_design.effects import travel_map
-from emps_design.effects.effect import Claims, Effect, Motion, Parameters, Search, Words
-
-
-def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
-    return travel_map.columns(motion, shape) * np.sign(motion.v)[:, None]
-
-
-def expression(q, v, t, tau, p, b):
-    import sympy
-
-    return travel_map.expression(q, p) * sympy.sign(v)
-
+from emps_design.effects.effect import Claims, Words
 
 TOWARDS_THE_END = {
     **{"start": 0.0, "end": 0.3},
@@ -26,22 +13,14 @@ TOWARDS_THE_END = {
 }
 DIP = {"start": -0.3, "end": 0.3, **dict(zip(travel_map.NAMES, (-1.0, -4.0, -4.0, 0.0, 2.0, 0.0), strict=True))}
 
-EFFECT = Effect(
+EFFECT = travel_map.along(
+    "dry",
+    "Coulomb level above that of the start",
+    confused_with=("position_dependent_friction", "force_map", "friction_drift"),
     name="friction_map",
     label="Friction over position",
     equation=r"F = h(q)\, \mathrm{sign}(\dot q),\quad h \text{ a cubic spline through seven knots},\ h(q_0) = 0",
     source="look-up table over position; B. Armstrong-Helouvry et al., Automatica 30 (1994)",
-    parameters=travel_map.parameters("Coulomb level above that of the start"),
-    dry=travel_map.height,
-    over="q",
-    regressor=regressor,
-    expression=expression,
-    search=Search(
-        propose=travel_map.propose,
-        plausible=travel_map.plausible(line=False),
-        confused_with=("position_dependent_friction", "force_map", "friction_drift"),
-        general=True,
-    ),
     words=Words(
         where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
         experiment="one slow constant-velocity stroke over the whole travel in each direction: "
