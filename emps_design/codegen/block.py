@@ -34,7 +34,7 @@ from emps_design.codegen.program import (
     rewritten,
 )
 from emps_design.codegen.reader import read_program
-from emps_design.compensation.feedforward import FeedForward, names_of_effects, why_not
+from emps_design.compensation.feedforward import FeedForward, named_effects, why_not
 from emps_design.effects import Effect
 from emps_design.effects.effect import ADDED
 from emps_design.errors import AxisError, InputError
@@ -148,18 +148,14 @@ def observed_parts(axis: Axis) -> tuple[Part, ...]:
     """The kernels of the effects of ``axis``.
 
     Raises :class:`InputError` for effects whose force is no function of position and velocity."""
-    named = list(zip(names_of_effects(axis), axis.effects, strict=True))
-    reasons = [
-        f"{name}, {reason}" for name, axis_effect in named if (reason := why_not(axis_effect.effect, axis.units))
-    ]
+    named = named_effects(axis)
+    reasons = [f"{name}, {reason}" for name, entry in named if (reason := why_not(entry.effect, axis.units))]
     if reasons:
         raise InputError(
             f"observer of {axis.name}: found {'; '.join(reasons)}; "
             "take such effects out of the axis file, or observe on the record"
         )
-    effects = (
-        (name, axis_effect.effect, axis_effect.effect.values(axis_effect.parameters)) for name, axis_effect in named
-    )
+    effects = ((name, entry.effect, entry.effect.values(entry.parameters)) for name, entry in named)
     return parts_of(effects, axis.mechanics.array())
 
 
@@ -316,6 +312,11 @@ class Block:
     def observes(self) -> bool:
         """Whether it is an observer: command in, force out, no limit."""
         return self.kind is OBSERVER
+
+    @property
+    def output_unit(self) -> str:
+        """Unit of the output on the axis: of a command, or of the observed force."""
+        return self.axis.units.unit("N" if self.observes else "V")
 
     @property
     def waits(self) -> int | None:

@@ -16,6 +16,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,7 @@ from emps_design.codegen.targets import (
     Files,
     block_name,
     comment,
-    drive_settings,
-    gains_of,
+    drives_of,
     hash_of,
     in_c,
     in_json,
@@ -121,7 +121,7 @@ def machine_unit(name: str, axis: Axis) -> bytes:
         Variable("v", "output", unit("m/s"), "velocity"),
         Variable("q_start", "parameter", unit("m"), "position at which the axis rests at first"),
     ]
-    words = {"machine": machine_of(axis, name), "axis": comment(axis.name), "version": _version()}
+    words = {"machine": machine_of(axis, name), "axis": comment(axis.name), "version": metadata.version("emps-design")}
     code = template("machine.c").render(words)
     return _unit(f"{name}_machine", axis, "virtual machine", variables, code, {}, "")
 
@@ -148,12 +148,6 @@ def binary_for() -> str:
     return f"{platform.machine()}-linux" if compiler() else ""
 
 
-def _version() -> str:
-    from importlib import metadata
-
-    return metadata.version("emps-design")
-
-
 def _unit(
     name: str, axis: Axis, model: str, variables: list[Variable], code: str, sources: Mapping[str, str], note: str
 ) -> bytes:
@@ -162,7 +156,7 @@ def _unit(
         "identifier": name,
         "model": model,
         "axis": comment(axis.name),
-        "version": _version(),
+        "version": metadata.version("emps-design"),
         "period": repr(axis.sampling.period),
         "note": note,
         "token": "",
@@ -230,7 +224,7 @@ class Exported(Viewed):
     def view(self) -> View:
         """The vectors, the operations of one step, and the gains by the names of common drives."""
         counts = operations_of(self.block).items()
-        drives = self._drives()
+        drives = drives_of(self.block)
         side = "motor's" if drives and drives[0]["side"] == "motor" else "axis's own"
         headings = ("drive", "parameter", "value", "unit", "gain")
         rows = [(d["family"], d["parameter"], f"{d['value']:.6g}", d["unit"], d["gain"]) for d in drives]
@@ -240,9 +234,6 @@ class Exported(Viewed):
             Line(f"one step: {', '.join(f'{number} {OPERATIONS[kind]}' for kind, number in counts)}", "prose"),
             *([Table(headings, rows, title, words=("parameter", "unit", "gain"))] if rows else []),
         )
-
-    def _drives(self) -> list[dict[str, Any]]:
-        return drive_settings(self.block.axis, {} if self.block.observes else gains_of(self.block.axis))
 
     def to_dict(self) -> dict[str, Any]:
         """Names and hashes of the files, the vectors, operations, drive settings, as plain data."""
@@ -266,8 +257,8 @@ class Exported(Viewed):
                 "rows_that_rounding_decides": int(self.vectors.decided_otherwise.sum()),
             },
             "operations": operations_of(self.block),
-            "drives": self._drives(),
-            "units": {"single_precision_bound": self.block.axis.units.unit("N" if self.block.observes else "V")},
+            "drives": drives_of(self.block),
+            "units": {"single_precision_bound": self.block.output_unit},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
             "warnings": [unchecked] * (not self.checked)
             + [NO_TERM_KEPT] * self.bare

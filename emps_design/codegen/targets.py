@@ -166,6 +166,11 @@ def gains_of(axis: Any) -> dict[str, float]:
     return {name: float(value) for name, value in gains.items() if isinstance(value, int | float)}
 
 
+def drives_of(block: Block) -> list[dict[str, Any]]:
+    """The parameters of each drive for the gains of ``block``; none of an observer."""
+    return [] if block.observes else drive_settings(block.axis, gains_of(block.axis))
+
+
 def origin_of(name: str, content: bytes) -> str:
     """Origin of the axis file ``name`` for the page: its SHA-256, and the comment in its first line.
 
@@ -267,7 +272,7 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "bounded": "" if block.observes else f", command limited to {block.limit!r} {unit('V')}",
         "answer": f"external {force}" if block.observes else "command",
         "either_way": "" if block.observes else f", at most {block.limit!r} either way",
-        "output_unit": unit("N" if block.observes else "V"),
+        "output_unit": block.output_unit,
         "follows": _reference_text(block),
         "reference_unit": unit(INPUTS[law.follows]),
         "position_unit": unit("m"),
@@ -313,13 +318,13 @@ def with_page(name: str, block: Block, vectors: Vectors, made: Files, **more: An
     hashes = [(file, hash_of(text)) for file, text in made.items()]
     words |= {"files": list(made), "hashes": hashes}
     words["operations"] = ", ".join(f"{n} {OPERATIONS[kind]}" for kind, n in operations_of(block).items())
-    words["drives"] = drive_settings(block.axis, {} if block.observes else gains_of(block.axis))
+    words["drives"] = drives_of(block)
     return {**made, "README.md": template("README.md").render(words)}
 
 
 def single_precision(vectors: Vectors) -> str:
     """Sentences for the page on what single precision does, as measured."""
-    difference, unit = vectors.difference, vectors.block.axis.units.unit("N" if vectors.block.observes else "V")
+    difference, unit = vectors.difference, vectors.block.output_unit
     finite, otherwise = np.isfinite(difference), vectors.decided_otherwise
     text = (
         f"The largest difference is {difference[REST : REST + MOTION].max():.3g} {unit} in the first motion and "
@@ -443,7 +448,7 @@ def in_json(name: str, block: Block, vectors: Vectors) -> Files:
         "memory": block.law.memory,
         "integral_that_waits": block.waits,
         "operations": operations_of(block),
-        "drives": drive_settings(block.axis, {} if block.observes else gains_of(block.axis)),
+        "drives": drives_of(block),
         "feedforward": feedforward,
         "vectors": vectors.to_dict(),
     }

@@ -36,7 +36,7 @@ from emps_design.errors import InputError
 from emps_design.simulation.kernels.compile import inlined, part
 from emps_design.units import TURN
 
-HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand
+USUAL_HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand
 RATES = (0.4, 1.0)  # Hz, about, at which a hand moves the carriage to and fro
 PACE = 2.0 * math.pi * RATES[0]  # rad/s
 HELD, CALMING, WATCHED = 5.0, 4.0, 1.0  # s, at least: in the hand, calming down, watched for a verdict
@@ -113,7 +113,7 @@ class Task:
 def guided_task(
     period: float,
     duration: float = 10.0,
-    hand: tuple[float, float] = HAND,
+    hand: tuple[float, float] = USUAL_HAND,
     scale: float = 1.0,
     free: float | None = None,
     watched: float | None = None,
@@ -246,7 +246,7 @@ def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], flo
     jolt = max(1.0, law.ratio) * max(plant.coulomb)  # N, of the Coulomb compensation when the velocity turns
     room = 0.85 * axis.drive.gain * axis.drive.command_limit - jolt
     scale = length * float(np.clip(room / motor, 0.01, 1.0)) if motor > 0.0 else length
-    stiffness = max(HAND[0], 3.0 * stuck / (0.12 * scale), 2.0 * lead)
+    stiffness = max(USUAL_HAND[0], 3.0 * stuck / (0.12 * scale), 2.0 * lead)
     stiffness = min(stiffness, 0.05 * light / period**2, 2.0 * light / period)
     for _ in range(12):
         contact = Environment(0.0, 0.1 * stiffness, stiffness)

@@ -31,6 +31,7 @@ from emps_design.units import Units
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
+    from emps_design.axis.tables import AxisEffect
 
 BASELINE = {"inertia": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "constant": OFFSET}
 LEAD = "lead"
@@ -95,8 +96,8 @@ class FeedForward:
 
     def effects(self) -> list[tuple[str, Effect, np.ndarray]]:
         """Name, effect and parameters of every effect among the terms."""
-        each = zip(names_of_effects(self.axis), self.axis.effects, self.parameters, strict=True)
-        return [(name, entry.effect, values) for name, entry, values in each if name in self.terms]
+        each = zip(named_effects(self.axis), self.parameters, strict=True)
+        return [(name, entry.effect, values) for (name, entry), values in each if name in self.terms]
 
 
 def reversal_of(q_ref: np.ndarray, period: float) -> float:
@@ -104,18 +105,19 @@ def reversal_of(q_ref: np.ndarray, period: float) -> float:
     return REVERSAL * float(np.abs(motion_ahead(q_ref, period, 0.0)[1]).max(initial=0.0))
 
 
-def names_of_effects(axis: Axis) -> list[str]:
-    """A name for each effect of ``axis``: its kind, numbered where there are several of one."""
-    kinds, names = [entry.kind for entry in axis.effects], []
-    for place, kind in enumerate(kinds):
-        names.append(kind if kinds.count(kind) == 1 else f"{kind}_{kinds[: place + 1].count(kind)}")
-    return names
+def named_effects(axis: Axis) -> list[tuple[str, AxisEffect]]:
+    """Each effect of ``axis`` with a name: its kind, numbered where there are several of one."""
+    kinds, named = [entry.kind for entry in axis.effects], []
+    for place, entry in enumerate(axis.effects):
+        number = f"_{kinds[: place + 1].count(entry.kind)}" if kinds.count(entry.kind) > 1 else ""
+        named.append((f"{entry.kind}{number}", entry))
+    return named
 
 
 def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
     """Every term that ``axis`` has, and a line for each of its effects that cannot be compensated."""
     terms, not_compensated = [*BASELINE], {}
-    for name, entry in zip(names_of_effects(axis), axis.effects, strict=True):
+    for name, entry in named_effects(axis):
         reason = why_not(entry.effect, axis.units)
         if not reason:
             terms.append(name)

@@ -21,7 +21,7 @@ from emps_design.compensation.feedforward import (
     LEAD,
     FeedForward,
     feedback_cures,
-    names_of_effects,
+    named_effects,
     reversal_of,
     terms_of,
 )
@@ -328,10 +328,8 @@ def _selected(
 
 def _note_on_phase(axis: Axis, name: str) -> str:
     """Return a note where a parameter of the effect ``name`` belongs to one record; empty otherwise."""
-    for own, entry in zip(names_of_effects(axis), axis.effects, strict=True):
-        if own == name and any(p.per_record for p in entry.effect.parameters):
-            return PER_RECORD
-    return ""
+    entry = dict(named_effects(axis)).get(name)
+    return PER_RECORD if entry is not None and any(p.per_record for p in entry.effect.parameters) else ""
 
 
 def _worst(trial: Trial, terms: tuple[str, ...], mismatch: float, phase_deg: float, only: str | None = None) -> float:
@@ -358,7 +356,7 @@ def _changes(ahead: FeedForward, mismatch: float, phase_deg: float, only: str | 
             changes.append(lambda side, nominal, at=at: _with_baseline(nominal, at, factor(side)))
     if ahead.back_emf and "viscous" in wanted:
         changes.append(lambda side, nominal: replace(nominal, back_emf=nominal.back_emf * factor(side)))
-    for place, (name, entry) in enumerate(zip(names_of_effects(ahead.axis), ahead.axis.effects, strict=True)):
+    for place, (name, entry) in enumerate(named_effects(ahead.axis)):
         for at, parameter in enumerate(entry.effect.parameters if name in wanted else ()):
             if parameter.discrete or parameter.name == entry.effect.repeats:
                 continue
