@@ -90,6 +90,7 @@ def _setitem(numbers, j, value):
     return (lambda numbers, j, value: _write(numbers, j, value)) if isinstance(numbers, _Lane) else None
 
 
+# An intrinsic: around an overload that is inlined numba drops stores into rows.
 @intrinsic
 def of_plant(typingctx, numbers, i):
     """The number of plant ``i``: in its row, or one for all plants; or a tuple of such numbers."""
