@@ -51,80 +51,58 @@ class BenchNumber:
     reason: str
 
 
+def _of_paper(value: float, unit: str, reason: str) -> BenchNumber:
+    return BenchNumber(value, unit, PAPER, reason)
+
+
+def _chosen(value: float, unit: str, reason: str) -> BenchNumber:
+    return BenchNumber(value, unit, CHOSEN, reason)
+
+
 NUMBERS: dict[str, BenchNumber] = {
-    "experiments": BenchNumber(10, "", PAPER, "ten of each kind, sections III-A and III-B"),
-    "crossover": BenchNumber(100.0, "rad/s", PAPER, "velocity loop, section II-C"),
-    "phase_margin": BenchNumber(60.0, "deg", CHOSEN, "the paper gives none"),
-    "bend_positive": BenchNumber(31.3, "N", CHOSEN, "at 0.1 m/s: Table II's F_v+ at low speed is above Table I's"),
-    "bend_negative": BenchNumber(49.1, "N", CHOSEN, "at 0.1 m/s: Table II's F_v- at low speed is well above Table I's"),
-    "bend_exponent": BenchNumber(0.45, "", CHOSEN, "steep near rest, then flatter, as grease that shears"),
-    "viscous_less_positive": BenchNumber(
-        339.4, "N/(m/s)", CHOSEN, "so that the bent friction identifies as Table I's F_v+"
-    ),
-    "viscous_less_negative": BenchNumber(
-        571.5, "N/(m/s)", CHOSEN, "so that the bent friction identifies as Table I's F_v-"
-    ),
-    "coulomb_less_positive": BenchNumber(7.52, "N", CHOSEN, "so that the bent friction identifies as Table I's F_c+"),
-    "coulomb_less_negative": BenchNumber(11.04, "N", CHOSEN, "so that the bent friction identifies as Table I's F_c-"),
-    "mass_less": BenchNumber(1.3, "kg", CHOSEN, "so that the mass identifies as Table I's, reversals included"),
-    "break_away_excess": BenchNumber(
-        7.1, "N", CHOSEN, "so that the test at rest gives the F_s of 17 N of section III-A"
-    ),
-    "stribeck_velocity": BenchNumber(0.0005, "m/s", CHOSEN, "a ball screw's excess is gone within a few mm/s"),
-    "stribeck_exponent": BenchNumber(1.0, "", CHOSEN, "the paper allows 1 to 2"),
-    "position_amplitude": BenchNumber(
-        5.5, "N", CHOSEN, "where the operator works friction is higher: RMS_2 of 3.9-5.4 N"
-    ),
-    "position_length": BenchNumber(0.35, "m", CHOSEN, "slow, so that neither small workspace sees it change"),
-    "ripple_amplitude": BenchNumber(
-        1.5, "N", CHOSEN, "1 N at 2.5 mm in the 2019 record of the same machine, here older"
-    ),
-    "ripple_period": BenchNumber(0.0025, "m", CHOSEN, "one revolution, from the 2019 record of the same machine"),
-    "friction_noise": BenchNumber(1.78, "N", CHOSEN, "brings direct validation to 2.7-3.4 N"),
-    "friction_noise_spread": BenchNumber(
-        0.13, "", CHOSEN, "of the noise from experiment to experiment: the ranges' width"
-    ),
-    "friction_noise_speed": BenchNumber(0.0152, "m/s", CHOSEN, "at which it has doubled: brings RMS_1 to 3.6-5.3 N"),
-    "friction_noise_time": BenchNumber(
-        0.06, "s", CHOSEN, "slow enough to pass the filters, as the residual of 2019 does"
-    ),
-    "drift": BenchNumber(
-        0.015, "", CHOSEN, "std of the friction from one experiment to the next: lubrication, temperature"
-    ),
-    "voltage_noise": BenchNumber(0.004, "V", CHOSEN, "3.7 mV in the 2019 record"),
-    "sensor_noise": BenchNumber(0.05, "N", CHOSEN, "1 % of the sensor's range; the paper calls it insignificant"),
-    "sensor_gain_error": BenchNumber(0.0, "", CHOSEN, "the paper takes the sensor's force for the real one"),
-    "sensor_lag": BenchNumber(0.0, "s", CHOSEN, "first-order; the paper gives none"),
-    "sensor_offset": BenchNumber(
-        1.02, "N", CHOSEN, "zero of the sensor, or the pull of a cable, from one day to the other"
-    ),
-    "mass_beyond_sensor": BenchNumber(8.75, "kg", CHOSEN, "gripper in front of the sensor"),
-    "kp": BenchNumber(160.18, "1/s", CHOSEN, "position controller of 2019; the paper gives none"),
-    "kv": BenchNumber(243.45, "V/(m/s)", CHOSEN, "position controller of 2019; the paper gives none"),
-    "speed": BenchNumber(0.04, "m/s", CHOSEN, "of the trajectory; Table I's deviation of F_v over that of F_c says so"),
-    "ramp": BenchNumber(0.1, "s", CHOSEN, "of the trajectory; Table I's deviation of M over that of F_c says so"),
-    "duration": BenchNumber(40.0, "s", CHOSEN, "of identification; Table I's deviations over its RMS_1 say so"),
-    "workspace": BenchNumber(
-        0.04, "m", CHOSEN, "where co-manipulation starts: away from where the parameters were found"
-    ),
-    "hand_duration": BenchNumber(
-        110.0, "s", CHOSEN, "of co-manipulation; Table II's deviations over its RMS error say so"
-    ),
-    "hand_force": BenchNumber(
-        2.5, "N", CHOSEN, "largest step to either side of the force that keeps the carriage at rest"
-    ),
-    "hand_least": BenchNumber(0.2, "", CHOSEN, "smallest such step over the largest"),
-    "hand_bias": BenchNumber(
-        1.0, "", CHOSEN, "share of tau_ref that the hand balances; Table II says equal speeds both ways"
-    ),
-    "hand_ramp": BenchNumber(0.2, "s", CHOSEN, "mean ramp of the operator's force, half as long to half as long again"),
-    "hand_floor": BenchNumber(0.65, "s", CHOSEN, "mean floor of the operator's force, 0.6 to 1.4 times that"),
-    "k_e1": BenchNumber(
-        0.005, "(m/s)/N", CHOSEN, "low on purpose, as the paper says: Table II's deviations give the speed"
-    ),
-    "tau_ref": BenchNumber(
-        2.5, "N", PAPER, "not zero, for a force at any time (III-B); its size is chosen, half the range"
-    ),
+    "experiments": _of_paper(10, "", "ten of each kind, sections III-A and III-B"),
+    "crossover": _of_paper(100.0, "rad/s", "velocity loop, section II-C"),
+    "phase_margin": _chosen(60.0, "deg", "the paper gives none"),
+    "bend_positive": _chosen(31.3, "N", "at 0.1 m/s: Table II's F_v+ at low speed is above Table I's"),
+    "bend_negative": _chosen(49.1, "N", "at 0.1 m/s: Table II's F_v- at low speed is well above Table I's"),
+    "bend_exponent": _chosen(0.45, "", "steep near rest, then flatter, as grease that shears"),
+    "viscous_less_positive": _chosen(339.4, "N/(m/s)", "so that the bent friction identifies as Table I's F_v+"),
+    "viscous_less_negative": _chosen(571.5, "N/(m/s)", "so that the bent friction identifies as Table I's F_v-"),
+    "coulomb_less_positive": _chosen(7.52, "N", "so that the bent friction identifies as Table I's F_c+"),
+    "coulomb_less_negative": _chosen(11.04, "N", "so that the bent friction identifies as Table I's F_c-"),
+    "mass_less": _chosen(1.3, "kg", "so that the mass identifies as Table I's, reversals included"),
+    "break_away_excess": _chosen(7.1, "N", "so that the test at rest gives the F_s of 17 N of section III-A"),
+    "stribeck_velocity": _chosen(0.0005, "m/s", "a ball screw's excess is gone within a few mm/s"),
+    "stribeck_exponent": _chosen(1.0, "", "the paper allows 1 to 2"),
+    "position_amplitude": _chosen(5.5, "N", "where the operator works friction is higher: RMS_2 of 3.9-5.4 N"),
+    "position_length": _chosen(0.35, "m", "slow, so that neither small workspace sees it change"),
+    "ripple_amplitude": _chosen(1.5, "N", "1 N at 2.5 mm in the 2019 record of the same machine, here older"),
+    "ripple_period": _chosen(0.0025, "m", "one revolution, from the 2019 record of the same machine"),
+    "friction_noise": _chosen(1.78, "N", "brings direct validation to 2.7-3.4 N"),
+    "friction_noise_spread": _chosen(0.13, "", "of the noise from experiment to experiment: the ranges' width"),
+    "friction_noise_speed": _chosen(0.0152, "m/s", "at which it has doubled: brings RMS_1 to 3.6-5.3 N"),
+    "friction_noise_time": _chosen(0.06, "s", "slow enough to pass the filters, as the residual of 2019 does"),
+    "drift": _chosen(0.015, "", "std of the friction from one experiment to the next: lubrication, temperature"),
+    "voltage_noise": _chosen(0.004, "V", "3.7 mV in the 2019 record"),
+    "sensor_noise": _chosen(0.05, "N", "1 % of the sensor's range; the paper calls it insignificant"),
+    "sensor_gain_error": _chosen(0.0, "", "the paper takes the sensor's force for the real one"),
+    "sensor_lag": _chosen(0.0, "s", "first-order; the paper gives none"),
+    "sensor_offset": _chosen(1.02, "N", "zero of the sensor, or the pull of a cable, from one day to the other"),
+    "mass_beyond_sensor": _chosen(8.75, "kg", "gripper in front of the sensor"),
+    "kp": _chosen(160.18, "1/s", "position controller of 2019; the paper gives none"),
+    "kv": _chosen(243.45, "V/(m/s)", "position controller of 2019; the paper gives none"),
+    "speed": _chosen(0.04, "m/s", "of the trajectory; Table I's deviation of F_v over that of F_c says so"),
+    "ramp": _chosen(0.1, "s", "of the trajectory; Table I's deviation of M over that of F_c says so"),
+    "duration": _chosen(40.0, "s", "of identification; Table I's deviations over its RMS_1 say so"),
+    "workspace": _chosen(0.04, "m", "where co-manipulation starts: away from where the parameters were found"),
+    "hand_duration": _chosen(110.0, "s", "of co-manipulation; Table II's deviations over its RMS error say so"),
+    "hand_force": _chosen(2.5, "N", "largest step to either side of the force that keeps the carriage at rest"),
+    "hand_least": _chosen(0.2, "", "smallest such step over the largest"),
+    "hand_bias": _chosen(1.0, "", "share of tau_ref that the hand balances; Table II says equal speeds both ways"),
+    "hand_ramp": _chosen(0.2, "s", "mean ramp of the operator's force, half as long to half as long again"),
+    "hand_floor": _chosen(0.65, "s", "mean floor of the operator's force, 0.6 to 1.4 times that"),
+    "k_e1": _chosen(0.005, "(m/s)/N", "low on purpose, as the paper says: Table II's deviations give the speed"),
+    "tau_ref": _of_paper(2.5, "N", "not zero, for a force at any time (III-B); its size is chosen, half the range"),
 }
 
 
