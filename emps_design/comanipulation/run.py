@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from emps_design import laws as control_laws
 from emps_design.axis import Axis
 from emps_design.comanipulation.task import (
     MEASURES,
@@ -33,6 +32,7 @@ from emps_design.comanipulation.task import (
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.robustness import VERDICTS, drift_speed, drift_threshold
 from emps_design.errors import InputError
+from emps_design.laws import Law
 from emps_design.laws.library import ip_velocity
 from emps_design.laws.library.impedance import (
     DELAY,
@@ -63,7 +63,7 @@ BLOCK = 256  # plants a worker takes at a time; no number depends on it
 
 
 # The impedance law, or the parameters of the cascaded loop of Fig. 4 with a force sensor.
-Law = ImpedanceLaw | ip_velocity.Table
+TaskLaw = ImpedanceLaw | ip_velocity.Table
 
 
 @inlined
@@ -174,7 +174,7 @@ class TaskRun:
         return VERDICTS[int(self.measures.verdict[0])]
 
 
-def run_task(axis: Axis, law: Law, task: Task) -> TaskRun:
+def run_task(axis: Axis, law: TaskLaw, task: Task) -> TaskRun:
     """Simulate ``task`` under ``law`` on ``axis`` with all its effects, and keep the signals.
 
     >>> from emps_design.machines import machine
@@ -191,7 +191,7 @@ def run_task(axis: Axis, law: Law, task: Task) -> TaskRun:
 
 
 def run_many(
-    axis: Axis, laws: Sequence[Law], task: Task, workers: int = 1, progress: Any = None, machine: Axis | None = None
+    axis: Axis, laws: Sequence[TaskLaw], task: Task, workers: int = 1, progress: Any = None, machine: Axis | None = None
 ) -> Measures:
     """Simulate ``task`` under each of ``laws`` on ``axis`` with all its effects; return the measures, a row per law.
 
@@ -225,13 +225,13 @@ def in_threads(work: Callable[[Any], Any], parts: Sequence[Any], workers: int) -
 class Setup:
     """What the runs of a task share: ``law`` with a row of gains for each, the ``rest`` it follows [m], the plant."""
 
-    law: control_laws.Law
+    law: Law
     rest: float
     task: Task
     ready: Prepared
 
     @classmethod
-    def of(cls, axis: Axis, laws: Sequence[Law], task: Task, machine: Axis | None = None) -> Setup:
+    def of(cls, axis: Axis, laws: Sequence[TaskLaw], task: Task, machine: Axis | None = None) -> Setup:
         """Prepare ``laws`` for ``axis`` and the plant of ``machine``; :class:`InputError` for a task's other period."""
         period = axis.sampling.period
         if task.period != period:
@@ -324,7 +324,7 @@ def run_block(
     return good
 
 
-def _measures(axis: Axis, laws: Sequence[Law], raw: np.ndarray) -> Measures:
+def _measures(axis: Axis, laws: Sequence[TaskLaw], raw: np.ndarray) -> Measures:
     """``raw`` with each law's expected speed under friction and the speed below which the encoder hides a drift."""
     period, resolution, plant = axis.sampling.period, axis.sampling.encoder_resolution, FrictionModel.of(axis)
     known = []
