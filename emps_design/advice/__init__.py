@@ -1,10 +1,11 @@
 """Advice on a result: use it, take care, or do not run it; the reason in one sentence; and the command to run next.
 
-It is made from the document of a command alone, for the terminal, the page, the studio and Python. A design is
+It is made from the document of a command alone, for the terminal, the page, the studio and Python; ``warnings`` in it
+are messages, whose severity counts (a document read from a file has its own advice). A design is
 ``do-not-run`` if its document has a ``reason``, with which the command ends with exit status 4. It is ``safe`` with at
 least 30 deg of phase margin and a gain margin of 2 in its worst loop, on every machine of the specification, if no
-warning reports instability, creep or unexplained structure; ``caution`` otherwise. The advice on a record is ``safe``
-or ``caution``.
+message is grave, such as on instability or creep; ``caution`` otherwise. The advice on a record is ``safe`` without
+warnings, else ``caution``.
 """
 
 from __future__ import annotations

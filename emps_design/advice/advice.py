@@ -1,38 +1,21 @@
 """The advice of each command: on a record, on a design, or on a simulation, from the document of the command.
 
-An advice has a level, a reason and the command to run next. A result from a record is safe unless a warning objects to
-it, a design unless the margins of its worst loop are small or a warning is grave.
+An advice has a level, a reason and the command to run next. A result from a record is safe unless a message is a
+warning or worse, a design unless the margins of its worst loop are small or a message is grave.
 """
 
 from __future__ import annotations
 
 import math
-import re
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from emps_design.messages import Severity, severity_of
 from emps_design.units import LINEAR, Units
 
 SAFE, CAUTION, DO_NOT_RUN = LEVELS = ("safe", "caution", "do-not-run")
-GRAVE = re.compile(  # words of a warning with which no design is safe
-    r"\bunstable\b|\bcreep|limit cycle|\bkeeps? (?:on )?(?:swinging|oscillating)|\bhunt\b|\bsinks\b|\bdiverg"
-    r"|barely stable|unexplained|structure is left|apparent damping is not positive|steady motion at .* takes",
-    re.IGNORECASE,
-)
-HARMLESS = re.compile(  # warnings about a record that do not affect the result
-    r"f_ext acts on the simulated carriage|by output error, for the measured motion is noise|lines left out"
-    r"|no Kalman observer|simulated in open loop from the recorded|fitted anew on the confirming record"
-    r"|Nothing above .* can be told"
-)
-WORST_FIRST = (  # words of warnings about a record, by their effect on the result; others come last
-    r"may be wrong by more than it says",
-    r"^no axis has|has the wrong sign",
-    r"^far from the axis",
-    r"unexplained|structure is left",
-    r"is not determined|cannot be told",
-)
 PROPOSED = {  # key of `nearest` -> option of the command line
     "crossover": "crossover", "bandwidth": "bandwidth", "phase_margin_deg": "phase_margin",
     "position_kp": "position_kp", "k_e1": "k_e1", "mass": "mass", "damping": "damping", "filter": "filter",
@@ -149,23 +132,28 @@ def nearest_command(nearest: Mapping[str, Any] | None, command_line: CommandLine
 
 
 def grave_warning(document: Mapping[str, Any]) -> str:
-    """Return the first warning with which no design is safe, or ""."""
-    return next((sentence(text) for text in document.get("warnings", ()) if GRAVE.search(text)), "")
+    """Return the most severe message with which no design is safe, or ""."""
+    return _worst(document, Severity.GRAVE)
 
 
 def objection(document: Mapping[str, Any]) -> str:
-    """Return the gravest warning that affects the result from a record, the first of equal ones, or "".
+    """Return the most severe message that affects the result from a record, the first of equal ones, or "".
 
-    >>> objection({"warnings": ["a gap of 2 ms", "the model leaves 30 % of the force unexplained", "a rest of 3 s"]})
+    >>> from emps_design.messages import note, warning, wrong
+    >>> gap, rest = warning("gap", "a gap of 2 ms"), note("rest", "a rest of 3 s")
+    >>> objection({"warnings": [rest, gap, wrong("structure", "the model leaves 30 % of the force unexplained")]})
     'the model leaves 30 % of the force unexplained'
     """
-    warnings = [sentence(text) for text in document.get("warnings", ()) if not HARMLESS.search(text)]
-    return min(warnings, key=_rank, default="")
+    return _worst(document, Severity.WARNING)
 
 
-def _rank(text: str) -> int:
-    """Return the index of a warning in :data:`WORST_FIRST`."""
-    return next((i for i, words in enumerate(WORST_FIRST) if re.search(words, text)), len(WORST_FIRST))
+def _worst(document: Mapping[str, Any], least: Severity) -> str:
+    """Return the most severe message of a ``document``, the first of equal ones; "" if none is as severe as ``least``.
+
+    It may be no message but text, if the document was read from a file.
+    """
+    warnings = [text for text in document.get("warnings", ()) if severity_of(text) >= least]
+    return sentence(max(warnings, key=severity_of, default=""))
 
 
 def identify(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -457,7 +445,8 @@ def compensate(document: Mapping[str, Any], command_line: CommandLine) -> Advice
     design = _design(document, command_line, lambda: better, lambda: None)
     if design.level != SAFE:
         return design
-    cycle = next((cure["advice"] for cure in cures if cure.get("cure") == "limit of the gain" and _cycles(cure)), "")
+    limits = [cure["advice"] for cure in cures if cure.get("cure") == "limit of the gain"]
+    cycle = next((limit for limit in limits if severity_of(limit) >= Severity.GRAVE), "")
     if cycle:
         return Advice(CAUTION, sentence(cycle), better)
     if not document["kept"] or rms["worst"] > rms["without"]:
@@ -473,11 +462,6 @@ def compensate(document: Mapping[str, Any], command_line: CommandLine) -> Advice
     off = 100.0 * document["assumed"]["mismatch"]
     text = f"the tracking error falls to {100 * share:.2g} % of that without, with every parameter wrong by {off:g} %"
     return Advice(SAFE, text, next_step)
-
-
-def _cycles(cure: Mapping[str, Any]) -> bool:
-    """Whether backlash may cause a limit cycle with the gain as it is."""
-    return (cure.get("factor") is None and "no limit cycle" not in cure["advice"]) or (cure.get("factor") or 2.0) < 1.0
 
 
 SCENARIOS: dict[str, Callable[[Mapping[str, Any], CommandLine], Advice]] = {

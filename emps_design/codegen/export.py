@@ -45,6 +45,7 @@ from emps_design.compensation.study import digest_of
 from emps_design.control.sampled import axis_loop
 from emps_design.errors import AxisError, EmpsError, InputError, UnstableError
 from emps_design.files import write_text, write_together
+from emps_design.messages import note, warning
 from emps_design.simulation import Plant
 from emps_design.view import Line, Table, View, Viewed
 
@@ -53,9 +54,11 @@ LONGEST = 300  # s, of a compilation
 ROWS = 1000  # of the machine's vectors
 MOMENT = (1980, 1, 1, 0, 0, 0)  # of every file in a unit, so that the same axis gives the same bytes
 
-NO_TERM_KEPT = "the compensation keeps no term: the law alone was written"
+NO_TERM_KEPT = note("no-term-kept", "the compensation keeps no term: the law alone was written")
 LEAST = float(np.finfo(np.float32).tiny)  # smallest speed by which single precision can divide
-NO_COMPILER = "no C compiler was found: the units hold their source alone, for the importing tool to compile"
+NO_COMPILER = note(
+    "no-compiler", "no C compiler was found: the units hold their source alone, for the importing tool to compile"
+)
 
 
 @dataclass(frozen=True)
@@ -239,7 +242,7 @@ class Exported(Viewed):
         """Names and hashes of the files, the vectors, operations, drive settings, as plain data."""
         finite = self.vectors.difference[np.isfinite(self.vectors.difference)]
         carriage = self.block.axis.units.word("carriage")
-        unchecked = f"whether the loop is stable was not checked: the law is not linear while the {carriage} slides"
+        text = f"whether the loop is stable was not checked: the law is not linear while the {carriage} slides"
         return {
             "name": self.name,
             "target": self.target,
@@ -260,7 +263,7 @@ class Exported(Viewed):
             "drives": drives_of(self.block),
             "units": {"single_precision_bound": self.block.output_unit},
             "binary": (binary_for() or None) if self.target == "fmu" else None,
-            "warnings": [unchecked] * (not self.checked)
+            "warnings": [warning("stability-not-checked", text)] * (not self.checked)
             + [NO_TERM_KEPT] * self.bare
             + [NO_COMPILER] * (self.target == "fmu" and not binary_for()),
         }

@@ -69,6 +69,7 @@ from emps_design.control.nested_loops import NestedLoop, worst_loop
 from emps_design.control.sampled import MARGINAL
 from emps_design.errors import SpecificationError
 from emps_design.laws.friction_model import PARAMETERS, left_out
+from emps_design.messages import Message, grave, note, warning
 from emps_design.request import Request, option, takes
 from emps_design.units import Units
 from emps_design.view import Line, Table, View, Viewed
@@ -93,78 +94,87 @@ SHARES = (
 )  # fmt: skip
 
 
-def cautions_of(assessment: Any, document: dict[str, Any]) -> list[str]:
-    """Return the warnings on the :class:`ImpedanceAssessment`, whose other results are in ``document``."""
+def cautions_of(assessment: Any, document: dict[str, Any]) -> list[Message]:
+    """Return the messages on the :class:`ImpedanceAssessment`, whose other results are in ``document``."""
     axis, law, units = assessment.axis, assessment.law, assessment.axis.units
     force, carriage, shown = units.word("force"), units.word("carriage"), units.quantity
-    words = [] if assessment.stable else [assessment.reason]
+    messages = [] if assessment.stable else [grave("not-to-run", assessment.reason)]
     if law.at_singularity(PRINTED):
-        words.append(
-            "printed is undefined: at M_a = 2 M the current cancels itself in (30) as printed; derived it is not"
-        )
+        text = "printed is undefined: at M_a = 2 M the current cancels itself in (30) as printed; derived it is not"
+        messages.append(note("printed-undefined", text))
     sinking = sinking_force(assessment.plant)
     if sinking > 0.0:
-        words.append(
+        text = (
             f"the constant {force} exceeds dry friction by {shown(sinking, 'N', '.3g')}, and at rest this law holds "
             f"nothing: the axis sinks; balance that {force} apart"
         )
-    words += [
-        f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
-        "and contact"
-        for kind in left_out(axis)
-    ]
-    words += safety_words(axis, law.mass, law.damping, assessment.mismatch or 0.0)
+        messages.append(grave("sinks", text, force=sinking))
+    for kind in left_out(axis):
+        text = (
+            f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
+            "and contact"
+        )
+        messages.append(note("effect-in-plants-only", text, effect=kind))
+    messages += safety_words(axis, law.mass, law.damping, assessment.mismatch or 0.0)
     if document["smallest_safe_mass"] is None:
-        words.append(
+        text = (
             "smallest_safe_mass is undefined: with this filter and damping the law is unstable or swings even at "
             "M_a = M"
         )
+        messages.append(grave("no-safe-mass", text))
     if law.damping == 0.0:
-        words.append(f"damping B is 0: nothing brings the released {carriage} to rest")
+        messages.append(warning("no-damping", f"damping B is 0: nothing brings the released {carriage} to rest"))
     oscillation = document["coulomb_oscillation"]
     if oscillation is not None and oscillation["speed"] > 2.0 * assessment.slowest_drift:
-        words.append(
+        text = (
             f"the Coulomb compensation may hunt, at {shown(oscillation['speed'], 'mm/s', '.2g')} or more and below "
             f"{oscillation['frequency']:.2g} rad/s (describing function); a smaller Coulomb factor removes it, or "
             "a faster filter where the loop bears one"
         )
+        messages.append(grave("limit-cycle", text, **oscillation))
     contact = document["passivity"]
     if contact is None:
-        words.append("passivity and largest_wall_stiffness are undefined: the loop is unstable without contact")
+        text = "passivity and largest_wall_stiffness are undefined: the loop is unstable without contact"
+        messages.append(grave("unstable-without-contact", text))
     elif any(high is None for _, high in contact["continuous"]["active_bands"]):
-        words.append("passivity.continuous: the active band is unbounded above")
+        messages.append(note("active-band-unbounded", "passivity.continuous: the active band is unbounded above"))
     if contact is not None and not contact["sampled"]["passive"]:
         low = contact["sampled"]["active_bands"][0][0]
         wall = document["largest_wall_stiffness"]
-        words.append(
-            f"not passive from {low:.3g} rad/s on"
-            + ("" if wall is None else f"; the poles bear an undamped wall of up to {shown(wall, 'N/m', '.3g')}")
-        )
+        text = f"not passive from {low:.3g} rad/s on"
+        if wall is not None:
+            text += f"; the poles bear an undamped wall of up to {shown(wall, 'N/m', '.3g')}"
+        messages.append(warning("not-passive", text, frequency=low, wall=wall))
     for name, limit in assessment.walls.items():
         which = "exact estimates" if name == "exact" else f"estimates off by +-{100 * (assessment.mismatch or 0.0):g} %"
-        words.append(
+        text = (
             f"{which}: pressed against a wall the {carriage} comes to rest up to "
             f"{shown(limit.simulated, 'N/m', '.3g')}; beyond, the Coulomb compensation may keep it swinging (simulated "
             f"with pushes around {shown(limit.push, 'N', '.3g')}; the poles alone bear "
             f"{shown(limit.linear, 'N/m', '.3g')})"
         )
+        messages.append(warning("wall-limit", text, simulated=limit.simulated, linear=limit.linear))
     if contact is not None and document["largest_wall_stiffness"] is None:
-        words.append(f"largest_wall_stiffness is unbounded: stable up to 1 G{units.unit('N/m')}")
+        text = f"largest_wall_stiffness is unbounded: stable up to 1 G{units.unit('N/m')}"
+        messages.append(note("wall-unbounded", text))
     mismatch = document.get("mismatch")
     if mismatch is not None and assessment.study is not None:
-        words += assessment.study.warnings
+        messages += assessment.study.warnings
         if math.isinf(mismatch["creep_speed"]):
-            words.append("mismatch.creep_speed is unbounded: at a corner the apparent damping is not positive")
+            text = "mismatch.creep_speed is unbounded: at a corner the apparent damping is not positive"
+            messages.append(grave("creep-unbounded", text))
         elif mismatch["creep_speed"] > 0.0:
             factor = mismatch["coulomb_factor_without_creep"]
             cure = "no Coulomb factor" if factor is None else f"a Coulomb factor of {factor:.4g}"
-            words.append(
+            text = (
                 f"over-estimated friction makes the released {carriage} creep at up to "
                 f"{shown(mismatch['creep_speed'], 'mm/s', '.3g')}; {cure} rules it out"
             )
+            messages.append(grave("creep", text, speed=mismatch["creep_speed"], coulomb_factor=factor))
         if mismatch["worst"]["peak_voltage"] >= axis.drive.command_limit:
-            words.append(f"the {units.word('voltage')} limit is reached in the task")
-    return words
+            text = f"the {units.word('voltage')} limit is reached in the task"
+            messages.append(warning("limit-in-task", text))
+    return messages
 
 
 @dataclass(frozen=True)
@@ -376,7 +386,8 @@ class ImpedanceAssessment(Viewed):
                 self.axis, law.mass, law.damping, LOW_FREQUENCY, mismatch=self.mismatch or 0.0
             ).to_dict()
         except SpecificationError as error:
-            document["equivalent_loop"] = {"k_e1": None, "criterion": LOW_FREQUENCY, "warnings": [str(error)]}
+            refused = grave("no-equivalent-loop", str(error))
+            document["equivalent_loop"] = {"k_e1": None, "criterion": LOW_FREQUENCY, "warnings": [refused]}
         if self.study is not None and self.mismatch is not None:
             document["mismatch"] = self._under_mismatch(self.study, self.mismatch)
         if not self.stable:

@@ -17,6 +17,7 @@ from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, equiv
 from emps_design.control.impedance.robustness import break_away
 from emps_design.control.nested_loops import worst_loop
 from emps_design.laws.library import ip_velocity
+from emps_design.messages import Message, note, warning
 from emps_design.quantities import one_two_five
 from emps_design.request import Request, option, takes
 from emps_design.simulation.scenarios import scenario_view
@@ -34,14 +35,14 @@ NO_SENSOR, SENSOR, CASCADE = "impedance, no sensor", "impedance, force sensor", 
 class Comanipulation(Viewed):
     """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law.
 
-    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``taken`` names the parameters
-    of the law that are defaults.
+    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``taken`` is a message
+    on the parameters of the law that are defaults.
     """
 
     assessment: ImpedanceAssessment
     nominal: MismatchStudy
     study: MismatchStudy
-    taken: str = ""
+    taken: tuple[Message, ...] = ()
 
     @property
     def law(self) -> ImpedanceLaw:
@@ -57,8 +58,8 @@ class Comanipulation(Viewed):
         0-20 rad/s. A law that is unstable or swings adds reason and nearest. ``asked`` holds M_a and B of the law.
         """
         exact = self.nominal.plant(0)
-        nominal_words = [word for word in self.nominal.warnings if not word.startswith("stable_share")]
-        own_words = [words for words in (self.taken, _fit_warning(exact, self.assessment.axis.units)) if words]
+        nominal = [message for message in self.nominal.warnings if message.code != "no-plants"]
+        own = [*self.taken, *_poor_fit(exact, self.assessment.axis.units)]
         refused = self.assessment
         unit = refused.axis.units.unit
         return {
@@ -80,7 +81,7 @@ class Comanipulation(Viewed):
             "task": self.study.task.name,
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
-            "warnings": [*own_words, *dict.fromkeys((*nominal_words, *self.study.warnings))],
+            "warnings": [*own, *dict.fromkeys((*nominal, *self.study.warnings))],
         }
 
     def view(self) -> View:
@@ -142,8 +143,9 @@ def run_comanipulation(axis: Axis, request: ComanipulationRequest, **options: An
         progress=request.progress,
     )
     in_proportion = f"as in the paper's experiments, in proportion to the {axis.units.word('mass')}"
-    words = f"{' and '.join(taken)}, not given: {in_proportion}" if taken else ""
-    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, words)
+    text = f"{' and '.join(taken)}, not given: {in_proportion}"
+    usual = (note("usual-law", text, mass=mass, damping=damping),) if taken else ()
+    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, usual)
 
 
 def _task(axis: Axis, law: ImpedanceLaw, request: ComanipulationRequest) -> Task:
@@ -167,15 +169,16 @@ def usual_law(axis: Axis) -> tuple[float, float]:
     return float(f"{MASS * size:.12g}"), float(f"{DAMPING * size:.12g}")
 
 
-def _fit_warning(exact: dict[str, Any], units: Units) -> str:
-    """Return a warning if mass and damping fit the guided motion of the exact law poorly; empty otherwise."""
+def _poor_fit(exact: dict[str, Any], units: Units) -> list[Message]:
+    """Return a message if mass and damping fit the guided motion of the exact law poorly."""
     if not exact["r2"] < FOLLOWED:
-        return ""
-    return (
+        return []
+    text = (
         f"apparent {units.word('mass')} and damping are a poor fit to the {units.word('force')} of this motion, "
         f"r2 = {exact['r2']:.3g} at the frequencies of the task: something else resists there; the error of "
         "the transparency is that of the impedance itself"
     )
+    return [warning("poor-fit", text, r2=exact["r2"])]
 
 
 @dataclass(frozen=True)

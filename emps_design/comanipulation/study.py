@@ -21,6 +21,7 @@ from emps_design.control.impedance.passivity import Clock, impedance_error, numb
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
 from emps_design.control.sampled import MARGINAL
 from emps_design.laws.friction_model import PARAMETERS
+from emps_design.messages import Message, grave, note, warning
 from emps_design.request import Request, option, takes
 from emps_design.units import Units
 
@@ -133,42 +134,46 @@ class MismatchStudy:
         }
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings: undefined numbers in :meth:`to_dict` and why, and worse verdicts beyond the mismatch."""
-        words, units = list(self.task.warnings), self.axis.units
+    def warnings(self) -> tuple[Message, ...]:
+        """Messages: undefined numbers in :meth:`to_dict` and why, and worse verdicts beyond the mismatch."""
+        messages, units = list(self.task.warnings), self.axis.units
         carriage = units.word("carriage")
         if not self.plants:
-            words.append(
-                "stable_share_interval is undefined: no plants were drawn, stable_share is that of the corners"
-            )
+            text = "stable_share_interval is undefined: no plants were drawn, stable_share is that of the corners"
+            messages.append(note("no-plants", text))
         if np.isnan(self.error).any():
-            words.append("error is undefined for plants whose sampled loop is unstable")
+            messages.append(grave("unstable-plants", "error is undefined for plants whose sampled loop is unstable"))
         still = int(np.sum(self.verdict == VERDICTS.index("no_motion")))
         if still:
-            words.append(
+            text = (
                 f"no verdict for {still} of {len(self.errors)} plants: the {carriage} stood when it was let go; what "
                 f"was felt ({units.word('mass')}, damping, r2, force_per_speed) is undefined for plants that "
                 "never moved"
             )
+            messages.append(warning("no-verdict", text, count=still))
         if np.any(self.measures.diverged > 0):
-            words.append("what was felt is undefined for plants whose simulation was broken off: the loop ran away")
+            text = "what was felt is undefined for plants whose simulation was broken off: the loop ran away"
+            messages.append(grave("ran-away", text))
         wanders = self.measures.wanders & np.isin(self.verdict, [VERDICTS.index(name) for name in CALM])
         if wanders.any():
-            speed = units.quantity(float(self.measures.drift[wanders].max()), "mm/s", ".2g")
+            drift = float(self.measures.drift[wanders].max())
             who = f"{int(wanders.sum())} of {len(self.errors)} plants go" if self.mismatch else f"the {carriage} goes"
-            words.append(
-                f"{who} on at up to {speed}, one or two encoder steps a period: no friction drives it, the "
-                "encoder's steps do"
+            text = (
+                f"{who} on at up to {units.quantity(drift, 'mm/s', '.2g')}, one or two encoder steps a period: no "
+                "friction drives it, the encoder's steps do"
             )
+            messages.append(warning("wanders", text, speed=drift))
         here = int(self.verdict.max())
-        worse = [
-            f"{change['what']}: {change['verdict']}"
-            for change in self.beyond
-            if VERDICTS.index(change["verdict"]) > here
-        ]
+        worse = [change for change in self.beyond if VERDICTS.index(change["verdict"]) > here]
         if worse:
-            words.append(f"worse than within the mismatch, with the rest of the machine as it is: {'; '.join(worse)}")
-        return tuple(words)
+            changes = "; ".join(f"{change['what']}: {change['verdict']}" for change in worse)
+            text = f"worse than within the mismatch, with the rest of the machine as it is: {changes}"
+            verdicts = [change["verdict"] for change in worse]
+            if set(verdicts) <= {*CALM, "no_motion"}:
+                messages.append(warning("other-beyond-mismatch", text, verdicts=verdicts))
+            else:
+                messages.append(grave("worse-beyond-mismatch", text, verdicts=verdicts))
+        return tuple(messages)
 
     def to_dict(self) -> dict[str, Any]:
         """Counts, shares with interval, medians and 5-95 % ranges over the plants, corners, and the worst case."""

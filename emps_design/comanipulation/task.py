@@ -33,6 +33,7 @@ from emps_design.control.impedance.passivity import (
 from emps_design.control.impedance.robustness import VERDICTS, break_away, exact_and_corners, stacked
 from emps_design.control.sampled import MARGINAL
 from emps_design.errors import InputError
+from emps_design.messages import Message, grave, warning
 from emps_design.simulation.kernels.compile import inlined, part
 from emps_design.units import TURN
 
@@ -73,7 +74,7 @@ class Task:
     release: int
     end: int
     period: float
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The operator's task, SI units."""
@@ -196,12 +197,13 @@ def fitted_task(
     """
     period = axis.sampling.period
     calming, watched = _slowest(axis, law, mismatch)
-    words = []
+    messages = []
     if calming + watched > LONGEST * period:
-        words.append(
+        text = (
             f"the slowest mode takes {calming + watched:.3g} s to show what it does, the simulated task ends "
             f"{LONGEST * period:g} s after the release: slow creep and slow oscillations may be missed"
         )
+        messages.append(grave("task-too-short", text, needed=calming + watched, watched=LONGEST * period))
         share = LONGEST * period / (calming + watched)
         calming, watched = share * calming, share * watched
     held = max(HELD, 50 * period)
@@ -211,14 +213,15 @@ def fitted_task(
         stuck = break_away(law, FrictionModel.of(axis))
         if force <= stuck:
             units = axis.units
-            words.append(
+            text = (
                 f"a push of {units.quantity(force, 'N', 'g')} does not break the {units.word('carriage')} away, "
                 f"which takes {units.quantity(stuck, 'N')}"
             )
+            messages.append(warning("push-too-weak", text, force=force, break_away=stuck))
     else:
         fitted, scale = fitted_hand(axis, law)
         task = guided_task(period, hand=hand or fitted, scale=scale, **times)
-    return replace(task, warnings=tuple(words))
+    return replace(task, warnings=tuple(messages))
 
 
 def usual_scale(axis: Axis) -> float:

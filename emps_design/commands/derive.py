@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from emps_design.commands import Reply
+from emps_design.messages import grave
 from emps_design.request import Request, option
 from emps_design.units import LINEAR
 from emps_design.view import Line
@@ -40,7 +41,7 @@ def answer(request: DeriveRequest) -> Reply:
         "errata": [erratum.to_dict() for erratum in errata.find_errata()],
         "cost_of_printed_30": {"axis": MACHINE, "M_a": MASS, "B": DAMPING, **cost},
         "warnings": [
-            f"{step.place} {step.title}: {claim}: found false"
+            grave("claim-is-false", f"{step.place} {step.title}: {claim}: found false")
             for _, steps in parts.values()
             for step in steps
             for claim, true in step.checks

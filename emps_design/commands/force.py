@@ -9,6 +9,7 @@ from emps_design.commands import Reply
 from emps_design.commands.options import VelocityLoopRequest, write_axis
 from emps_design.control.view import force_view
 from emps_design.errors import InputError
+from emps_design.messages import Message, note
 from emps_design.request import Request, option
 
 if TYPE_CHECKING:
@@ -54,9 +55,10 @@ def answer(request: ForceRequest) -> Reply:
     if hand is None and request.environment is None:
         hand = 1.0 / k_e1 if k_e1 > 0.0 else 0.0
         damping = units.quantity(hand, "N/(m/s)", "g")
-        notes.append(f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {damping}")
+        text = f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {damping}"
+        notes.append(note("usual-hand", text, hand=hand))
     loop, origin = _velocity_loop(request)
-    notes += [origin] if origin else []
+    notes += origin
     design = design_force_loop(
         loop, k_e1, hand or 0.0, request.environment or 0.0, request.sensor_delay, not request.sensor_only
     )
@@ -76,13 +78,13 @@ def answer(request: ForceRequest) -> Reply:
     return Reply(document, force_view(document, units), units, design.reason)
 
 
-def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, str]:
-    """The velocity loop inside: as specified, of the axis file, or the paper's; and a note if it is not specified."""
+def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, list[Message]]:
+    """The velocity loop inside: as specified, of the axis file, or the paper's; and a message if not specified."""
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
     from emps_design.control.velocity.gains import own_filters, own_gains, own_structure
 
     machine, structure, crossover = request.machine, request.wanted_structure, request.crossover
-    note, own = "", own_gains(machine)
+    origin, own = list[Message](), own_gains(machine)
     if crossover is None and request.bandwidth is None:
         if own is not None:
             why = "goes with `crossover` or `bandwidth`; without them the velocity loop is that of the axis file"
@@ -91,9 +93,11 @@ def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, str]:
             loop = VelocityLoopDesign(
                 machine, *own, {}, velocity=request.velocity, structure=structure, filters=filters
             )
-            return loop, "velocity loop: gains, structure and filters of the axis file"
+            text = "velocity loop: gains, structure and filters of the axis file"
+            return loop, [note("loop-of-the-axis-file", text)]
         crossover = PAPER
-        note = f"velocity loop: designed for the paper's 100 rad/s crossover and {request.phase_margin_deg:g} deg"
+        text = f"velocity loop: designed for the paper's 100 rad/s crossover and {request.phase_margin_deg:g} deg"
+        origin.append(note("loop-of-the-paper", text, crossover=PAPER, phase_margin_deg=request.phase_margin_deg))
     loop = design_velocity_loop(
         machine,
         crossover,
@@ -103,4 +107,4 @@ def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, str]:
         structure,
         request.wanted_filters,
     )
-    return loop, note
+    return loop, origin

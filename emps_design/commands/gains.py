@@ -18,6 +18,7 @@ from emps_design.commands.options import (
 from emps_design.control.view import gains_view
 from emps_design.errors import InputError
 from emps_design.files import read_bytes
+from emps_design.messages import note
 from emps_design.request import option
 
 if TYPE_CHECKING:
@@ -117,7 +118,8 @@ def answer(request: GainsRequest) -> Reply:
         document["measured"] = measured.document
         document["warnings"] += measured.warnings
         if request.sensitivity_peak_above is not None and not any(m.antiresonance for m in measured.velocity):
-            document["warnings"].append("`sensitivity_peak_above`: the data have no antiresonance; all lies below")
+            text = "`sensitivity_peak_above`: the data have no antiresonance; all lies below"
+            document["warnings"].append(note("no-antiresonance", text))
     if verdict.stable and request.out is not None:
         table = design.controller_table() if around is None else around.controller_table()
         document["out"] = write_axis(request.out, request.machine.replace(controller=table))
@@ -198,9 +200,9 @@ class _Measured:
         self.velocity = margins[VELOCITY_LOOP]
         self.loops = [measured.loop(name) for name, of_loop in margins.items() for measured in of_loop]
         self.document = documents[VELOCITY_LOOP] | whole
-        self.warnings = [warning for measured in self.velocity for warning in measured.warnings]
+        self.warnings = [message for measured in self.velocity for message in measured.warnings]
         for name, document in documents.items():
-            self.warnings += [f"{name} on the measured plant: {words}" for words in over_limits(document, limits)]
+            self.warnings += [message.of(f"{name} on the measured plant") for message in over_limits(document, limits)]
 
 
 def _errors(request: GainsRequest) -> dict[str, float] | None:

@@ -14,6 +14,7 @@ from emps_design.commands.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, ch
 from emps_design.commands.options import LOOKING, axis_option
 from emps_design.errors import InputError
 from emps_design.files import write_text, write_together
+from emps_design.messages import warning
 from emps_design.request import Request, option
 from emps_design.view import Line
 
@@ -116,7 +117,7 @@ def _of_trace(request: InitRequest, path: Path) -> Reply:
     write_text(folder / AXIS_FILE, text)
     to_fill_in = re.findall(r"^# (\w+) = ", text, re.MULTILINE)
     record = export.record
-    warnings = [export.reason] if export.reason else []
+    warnings = [warning("trace-not-read", export.reason)] if export.reason else []
     warnings += [] if record is None else record.warnings
     document = {
         "directory": str(folder),

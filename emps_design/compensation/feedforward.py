@@ -27,6 +27,7 @@ from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.two_mass import LOWEST, RESONANCES, is_coupling, linear_coupling
 from emps_design.errors import EmpsError
+from emps_design.messages import grave, note
 from emps_design.units import Units
 
 if TYPE_CHECKING:
@@ -215,15 +216,21 @@ def _gain(axis: Axis, place: int) -> dict[str, Any]:
     limit = factor * number if number is not None and 0.0 < factor < math.inf else None
     own = name or "the gain of the law"
     if not factor:
-        advice = (
+        text = (
             f"a limit cycle is possible with every {own} down to 1/{HIGHEST:g} of what it is, dry friction left "
             "out; lower the gain of the position or the integral, or preload the play"
         )
+        advice = grave("limit-cycle-at-any-gain", text, gain=own)
     elif factor == math.inf:
-        advice = f"no limit cycle is expected with {own} up to {HIGHEST:g} times what it is"
+        text = f"no limit cycle is expected with {own} up to {HIGHEST:g} times what it is"
+        advice = note("no-limit-cycle", text, gain=own)
     else:
         bound = f"{factor:.3g} times what it is" if limit is None else f"{limit:.4g}, now {number:.4g}"
-        advice = f"keep {own} below {bound}; from there on a limit cycle is possible, dry friction left out"
+        text = f"keep {own} below {bound}; from there on a limit cycle is possible, dry friction left out"
+        if factor < 1.0:
+            advice = grave("limit-cycle-at-this-gain", text, gain=own, factor=factor)
+        else:
+            advice = note("limit-cycle-above", text, gain=own, factor=factor)
     return {
         "cure": "limit of the gain", "gain": name or None, "now": number, "limit": limit,
         "factor": factor if math.isfinite(factor) else None,

@@ -28,6 +28,7 @@ from emps_design.compensation.feedforward import (
 from emps_design.control.nested_loops import nested_loops, worst_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import Law, law_of
+from emps_design.messages import Message, warning
 from emps_design.view import Line, Table, View, Viewed
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ class Compensation(Viewed):
     overshoot: tuple[float, float]
     unit: str
     feedback: tuple[dict[str, Any], ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     def errors(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Time [s] (n,) and tracking error (n,), ``without`` feed-forward and ``with`` the terms that are kept."""
@@ -272,16 +273,21 @@ def compensate(
     ahead = replace(FeedForward.of(axis, kept), reversal=reversal_of(q_ref, axis.sampling.period))
     achieved, limited = trial.with_terms(kept)
     worst = _worst(trial, kept, mismatch, phase_deg)
-    warnings = [f"{name} is not compensated: {reason}" for name, reason in not_compensated.items()]
-    warnings += [f"{name} is left out: {note}" for name, note in notes.items()]
+    warnings = [
+        warning("not-compensated", f"{name} is not compensated: {reason}", effect=name)
+        for name, reason in not_compensated.items()
+    ]
+    warnings += [warning("term-left-out", f"{name} is left out: {reason}", term=name) for name, reason in notes.items()]
     if kept and axis.controller.parameters.get("anti_windup") == "none":
-        warnings.append(
+        text = (
             "anti_windup none: beside a feed-forward the integral has all of an error that the limit leaves, and may "
             "keep the axis swinging; take hold"
         )
+        warnings.append(warning("winds-up", text))
     overshoot = trial.overshoot(None), trial.overshoot(trial.ahead(ahead))
     if limited > 0.0:
-        warnings.append(f"the command is at its limit {100 * limited:.2g} % of the time{_farther(*overshoot, trial)}")
+        text = f"the command is at its limit {100 * limited:.2g} % of the time{_farther(*overshoot, trial)}"
+        warnings.append(warning("limit-with-feedforward", text, share=limited))
     tried = tuple(
         TermResult(name, name in kept, alone[name], *trials[name], notes.get(name, _note_on_phase(axis, name)))
         for name in possible

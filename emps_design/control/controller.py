@@ -39,6 +39,7 @@ from emps_design.control.verdict import Case, cases_of
 from emps_design.control.view import number, worst_in_words
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
+from emps_design.messages import Message
 from emps_design.view import Line, Table, View, Viewed
 
 LOOPS = ("velocity", "position", "whole")
@@ -117,7 +118,7 @@ class ControllerMargins(Viewed):
     loops: Loops
     others: tuple[tuple[Mapping[str, Any], Loops], ...] = ()
     velocity: float = 0.1
-    warnings: tuple[str, ...] = field(default=(), repr=False)
+    warnings: tuple[Message, ...] = field(default=(), repr=False)
 
     @cached_property
     def worst(self) -> NestedLoop:

@@ -42,6 +42,7 @@ from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_l
 from emps_design.control.velocity.specification import closed_form_in_words
 from emps_design.control.view import force_view
 from emps_design.errors import InputError
+from emps_design.messages import Message, grave, note, warning
 from emps_design.view import View, Viewed
 
 if TYPE_CHECKING:
@@ -292,22 +293,29 @@ class ForceLoopDesign(Viewed):
         }
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings on the design, instability first."""
-        warnings: list[str] = []
+    def warnings(self) -> tuple[Message, ...]:
+        """Messages on the design, instability first."""
+        warnings: list[Message] = []
         force = self.velocity_loop.axis.units.word("force")
         if not self.stable:
-            warnings.append(f"the sampled {force} loop is unstable: largest pole {abs(self.poles[0]):.4g}")
+            text = f"the sampled {force} loop is unstable: largest pole {abs(self.poles[0]):.4g}"
+            warnings.append(grave("force-loop-unstable", text, pole=abs(self.poles[0])))
         if not self.velocity_loop.sampled.stable:
-            warnings.append("the sampled velocity loop inside it is unstable already, without contact")
+            text = "the sampled velocity loop inside it is unstable already, without contact"
+            warnings.append(grave("inner-loop-unstable", text))
         if self.worst.where and not self.worst.margins.stable:
-            warnings.append(f"the {loop_in_words(self.worst, self.velocity_loop.axis.units)} is unstable")
+            text = f"the {loop_in_words(self.worst, self.velocity_loop.axis.units)} is unstable"
+            warnings.append(grave("other-machine-unstable", text))
         if self.hand + self.environment == 0.0:
-            warnings.append(f"no operator: without a hand or an environment nothing closes the {force} loop")
+            text = f"no operator: without a hand or an environment nothing closes the {force} loop"
+            warnings.append(warning("no-operator", text))
         elif self.k_e1_max_continuous is None:
-            warnings.append("k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator")
+            text = "k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator"
+            warnings.append(note("continuous-limit-unbounded", text))
         if self.k_e1_max_sampled is None:
-            warnings.append("k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable")
+            text = "k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable"
+            # A loop that no gain makes unstable is not closed, or its model lacks what limits it.
+            warnings.append(grave("sampled-limit-unbounded", text))
         warnings += self._plant.linear.warnings
         loop = self.velocity_loop
         warnings += closed_form_in_words(loop.axis, loop.sampled.plant, loop.velocity)

@@ -25,6 +25,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS, Effect, Kernel
 from emps_design.errors import InputError
+from emps_design.messages import Message, grave, warning
 from emps_design.units import Units
 
 if TYPE_CHECKING:
@@ -207,26 +208,30 @@ class Member:
         slopes = [_slope(lambda q: self.force_at(q, v, tau, self.x), place, step) for place in self.places]
         return float(np.max(np.abs(slopes)))
 
-    def left_out(self, v: float, tau: float, units: Units) -> list[str]:
-        """Warnings on what the linearisation of this effect leaves out."""
-        effect, warnings, speed = self.effect, [], units.quantity(v, "m/s", "g")
+    def left_out(self, v: float, tau: float, units: Units) -> list[Message]:
+        """Messages on what the linearisation of this effect leaves out."""
+        effect, messages, speed = self.effect, [], units.quantity(v, "m/s", "g")
+        name = effect.name
         if effect.solver.guard is not None or effect.solver.jump_time is not None:
-            warnings.append(f"{effect.name}: not smooth, counted by its slope in steady motion at {speed} only")
+            text = f"{name}: not smooth, counted by its slope in steady motion at {speed} only"
+            messages.append(warning("not-smooth", text, effect=name, velocity=v))
         if effect.command is not None:
-            command = units.word("voltage")
-            warnings.append(f"{effect.name}: a signal added to the {command}, left out of the linear design")
+            text = f"{name}: a signal added to the {units.word('voltage')}, left out of the linear design"
+            messages.append(warning("signal-left-out", text, effect=name))
         if not self.settled:
-            warnings.append(f"{effect.name}: has no steady state at {speed}, linearised at its initial one")
+            text = f"{name}: has no steady state at {speed}, linearised at its initial one"
+            messages.append(warning("no-steady-state", text, effect=name, velocity=v))
         if self.repeat:
             period = units.quantity(self.repeat, "m")
-            where = f"{effect.name}: repeats every {period}, {abs(v) / self.repeat:.4g} Hz at {speed}"
+            where = f"{name}: repeats every {period}, {abs(v) / self.repeat:.4g} Hz at {speed}"
             at_place, unit, what = self.force_at, "N", "a disturbance of +-{}, not a spring"
             if effect.sensor is not None:
                 at_place, unit, what = self.sensor, "m", "an error of the reading of +-{}, not a gain"
             size = 0.5 * float(np.ptp([at_place(q, v, tau, self.x) for q in self.places]))
             what = what.format(units.quantity(size, unit, ".3g"))
-            warnings.append(f"{where}; its slope averages out there: in the linear design it is {what}")
-        return warnings
+            text = f"{where}; its slope averages out there: in the linear design it is {what}"
+            messages.append(warning("slope-averages-out", text, effect=name, velocity=v, size=size))
+        return messages
 
     def _rate(self, q: float, v: float, tau: float, x: np.ndarray) -> np.ndarray:
         dx = np.zeros(self.x.size)
@@ -269,7 +274,7 @@ class LinearPlant:
     mass: Any
     viscous: Any
     state: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
     steepest: float = 0.0
 
     @property
@@ -356,7 +361,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         else:
             members.append(Member(entry.effect, p, b))
     gain, lag, shown = axis.drive.gain, axis.drive.current_time_constant, axis.units.quantity
-    warnings: list[str] = []
+    warnings: list[Message] = []
 
     # Without the braking of a back-EMF: the effects read the force of the winding's current.
     tau = b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET]
@@ -383,11 +388,12 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
         where = (
             "linearised just inside that, where the loop can work" if actuator.maps else "the loop works when slower"
         )
-        warnings.append(
+        text = (
             f"{' and '.join(actuator.names) or 'limit of the command'}: steady motion at "
             f"{shown(velocity, 'm/s', 'g')} takes {shown(needed, 'V', '.3g')} and only "
             f"{shown(actuator.reach(needed), 'V', '.3g')} act; {where}"
         )
+        warnings.append(grave("motion-beyond-limit", text, velocity=velocity, command=needed))
     firsts = [2 + sum(sizes[:i]) for i in range(len(sizes))]  # of each member's states
     lags = [(-1, lag)] * (lag > 0.0)
     lags += [

@@ -26,6 +26,7 @@ from emps_design.control.nested_loops import (
 )
 from emps_design.control.velocity.load_range import LoadRange, corners, loaded, with_errors
 from emps_design.errors import SpecificationError
+from emps_design.messages import Message, warning
 
 if TYPE_CHECKING:
     from emps_design.control.position import PositionLoopDesign
@@ -249,7 +250,7 @@ class DesignVerdict:
         return f"nearest that holds: {' with '.join(words)}" if words else "no slower one holds"
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[Message, ...]:
         """The worst loop if it is stable but not safe, and the position gain with which all loops are safe."""
         worst = self.worst
         if not self.stable or safety(worst.margins) >= 1.0:
@@ -262,7 +263,7 @@ class DesignVerdict:
             safe = f"{SAFE_PHASE_MARGIN_DEG:g} deg and a gain margin of {SAFE_GAIN_MARGIN:g}"
             leaves = safe if self._share_of_the_velocity_loop >= 1.0 else "more"
             slower = f"; `position_kp={kp:g}` instead of {own:.4g} leaves {leaves}"
-        return (words + slower,)
+        return (warning("small-margins", words + slower),)
 
     def at(self, where: Mapping[str, Any]) -> list[NestedLoop]:
         """The loops on the machine that differs from the axis by ``where``."""

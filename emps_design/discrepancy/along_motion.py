@@ -34,6 +34,7 @@ from emps_design.discrepancy.preparation import (
     between,
     check_records,
     check_same_drive,
+    looked_for_again,
     user_choice,
 )
 from emps_design.discrepancy.request import DiagnosisRequest
@@ -53,6 +54,7 @@ from emps_design.effects.sizes import sized, sizes
 from emps_design.identification.excitation import one_direction
 from emps_design.identification.model import LUMP, ONE_WAY
 from emps_design.identification.proposals import FEWEST_STROKES, LITTLE, TWICE, Unexplained
+from emps_design.messages import Message, note, warning
 from emps_design.observer import motor_force
 from emps_design.quantities import inside, rounded
 from emps_design.records import Record
@@ -84,7 +86,7 @@ class BalanceResult:
     confirming: Confirming
     held_out: tuple[np.ndarray, np.ndarray] | None
     other: Balance | None
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
     @property
     def unexplained(self) -> Unexplained:
@@ -133,7 +135,8 @@ def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
     findings = tuple(_finding(outcome, finding) for finding in outcome.named)
     drawn = views(before, after, used, noise, balance.axis, balance.cutoff)
     balanced = BALANCED.format(forces=units.word("forces"), looked_for=_candidate_labels(outcome))
-    too_fast = f"Nothing above {balance.filtered.band_hz:.2g} Hz can be told"
+    band = balance.filtered.band_hz
+    too_fast = note("nothing-above-band", f"Nothing above {band:.2g} Hz can be told", band_hz=band)
     details: dict[str, Any] = {
         "simulation": "inverse model",
         "band_hz": balance.filtered.band_hz,
@@ -320,23 +323,26 @@ def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, An
     }
 
 
-def _warnings(outcome: BalanceResult) -> list[str]:
+def _warnings(outcome: BalanceResult) -> list[Message]:
     fitted, late = outcome.extended, outcome.balance.clock.samples
     remarks = [*outcome.warnings]
     if abs(late) > BESIDE:
-        remarks.append(
+        text = (
             f"the command was logged {abs(late):.2g} samples {'after' if late > 0 else 'before'} what the motion "
             "answers to, and is moved by that: less than two samples tell a drive that is late from none of the log's"
         )
-    remarks += [text for text in fitted.identification.warnings if " not determined: " in text]
+        remarks.append(warning("command-late", text, samples=late))
+    remarks += [message for message in fitted.identification.warnings if message.code == "not-determined"]
     if fitted.held:
-        remarks.append(f"{', '.join(fitted.held)}: held at nothing, for the record asks for less, which no axis has")
+        text = f"{', '.join(fitted.held)}: held at nothing, for the record asks for less, which no axis has"
+        remarks.append(warning("held-at-nothing", text, parameters=fitted.held))
     unexplained = outcome.unexplained
     if unexplained.share > MOST_LEFT and unexplained.structure <= LITTLE:
-        remarks.append(
+        text = (
             f"{100 * unexplained.share:.2g} % of the {outcome.balance.axis.units.word('force')} is left and does not "
             "come again with the motion: noise of the command, or something that remembers what was before"
         )
+        remarks.append(warning("rest-does-not-repeat", text, share=unexplained.share))
     return remarks
 
 
@@ -359,8 +365,7 @@ def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
         warnings += check_records((holdout,), axis, along_motion=True)
     known = axis.replace(effects=[])
     if axis.effects:
-        dropped = ", ".join(entry.effect.name for entry in axis.effects)
-        warnings.append(f"the axis's own effects are left out and looked for again: {dropped}")
+        warnings.append(looked_for_again([entry.effect.name for entry in axis.effects]))
     parts, kept, confirming = _parts(records, holdout, request.fit_time, request.confirm_time)
     fitted = parts[0] if len(parts) == 1 else joined(parts, axis.units.rotary)
     balance = Balance.of(fitted, known)
@@ -377,9 +382,8 @@ def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
     against = refuted(shares(balance, selected, other))
     for term in against:
         label = inside(effects[terms[term]].label)
-        remarks.append(
-            f"{label} fitted the training record and is withdrawn: the confirming data ask for another amount"
-        )
+        text = f"{label} fitted the training record and is withdrawn: the confirming data ask for another amount"
+        remarks.append(warning("term-withdrawn", text, term=term))
     stands = tuple(term for term in selected if term not in against and extended.tells(term))
     if stands != selected:
         selected, extended = stands, balance.fitted(stands)
@@ -424,10 +428,10 @@ def _parts(
     return parts, kept, confirming
 
 
-def _of_records(records: tuple[Record, ...]) -> list[str]:
-    """Warnings of the files, without contradictions, which their check reports, and those of unused references."""
-    remarks = [text for record in records for text in record.warnings if text not in record.contradictions]
-    return [text for text in remarks if not text.startswith("q_ref: ")]
+def _of_records(records: tuple[Record, ...]) -> list[Message]:
+    """Messages on the files, without contradictions, which their check reports, and those of unused references."""
+    remarks = [message for record in records for message in record.warnings if message not in record.contradictions]
+    return [message for message in remarks if message.values.get("column") != "q_ref"]
 
 
 def _only(record: Record, inside: np.ndarray) -> Record:

@@ -38,6 +38,7 @@ from emps_design.identification.model import ONE_WAY, Model
 from emps_design.identification.problem import acting, filter_record
 from emps_design.identification.proposals import FEWEST_STROKES, POWERS, RESISTS, Strokes, proposed_terms, solved
 from emps_design.identification.result import BY_LEAST_SQUARES, NO_TERMS, Identification, IdentificationRequest
+from emps_design.messages import Message, warning
 from emps_design.quantities import inside
 from emps_design.records import Record
 
@@ -316,8 +317,8 @@ class Tried:
 
 def select_terms(
     balance: Balance, terms: Mapping[str, str], library: Mapping[str, Effect]
-) -> tuple[tuple[str, ...], list[str]]:
-    """Those of ``terms`` that the record needs, the most important first, and remarks on terms left out.
+) -> tuple[tuple[str, ...], list[Message]]:
+    """Those of ``terms`` that the record needs, the most important first, and messages on terms left out.
 
     A term is left out where the strokes prefer another effect of the ``library`` in its place.
     """
@@ -325,7 +326,7 @@ def select_terms(
         return (), []
     proposed = proposed_terms(balance.moved, balance.axis, balance.friction, balance.cutoff)
     candidates = [term for term in proposed if term in terms]
-    strokes, lost, remarks = balance.strokes, {}, []
+    strokes, lost, remarks = balance.strokes, {}, list[Message]()
     whole = strokes.errors(candidates)
     for term in candidates:
         rest, effect = [other for other in candidates if other != term], library[terms[term]]
@@ -335,10 +336,11 @@ def select_terms(
             if strokes.ask_for(error, whole)
         ]
         if better:
-            remarks.append(
+            text = (
                 f"{inside(effect.label)} would explain much, and {inside(' or '.join(better))} in its place more, of "
                 f"which a balance of {balance.axis.units.word('forces')} finds no numbers: neither is named"
             )
+            remarks.append(warning("rival-without-numbers", text, effect=effect.name))
         else:
             lost[term] = float(strokes.errors(rest).sum())
     return tuple(sorted(lost, key=lambda term: -lost[term])), remarks

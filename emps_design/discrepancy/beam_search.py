@@ -30,13 +30,16 @@ from emps_design.discrepancy.starts import either_baseline, tangent
 from emps_design.discrepancy.unknown_force import KINDS, Kind, beside_kind, with_kind
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
+from emps_design.messages import warning
 from emps_design.progress import Progress, no_progress
 
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
 A_FEW = len(BEAM)  # effects from which on the search keeps one set only
 MOST_EFFECTS = 7
 PASSES = 5  # times the search continues from an exchange, a pair, a low-ranked effect, or a curve
-UNFINISHED = "interrupted: the search was not finished, what follows is what was known by then"
+UNFINISHED = warning(
+    "search-interrupted", "interrupted: the search was not finished, what follows is what was known by then"
+)
 
 Step = tuple[frozenset[str], frozenset[str]]  # from the effects of one model to those of another
 

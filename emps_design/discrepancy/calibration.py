@@ -34,6 +34,7 @@ from emps_design.discrepancy.starts import Start, by_signature, screen, suspects
 from emps_design.discrepancy.unknown_force import Kind, states_of
 from emps_design.effects import Effect
 from emps_design.errors import SimulationError
+from emps_design.messages import Message, warning
 from emps_design.progress import Progress
 from emps_design.simulation import Plant
 
@@ -199,7 +200,7 @@ class Calibration:
     floor: Floor
     healthy: Healthy
     screened: list[list[Start]]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     @property
     def judge(self) -> Judge:
@@ -230,7 +231,7 @@ def calibrate(
     progress("healthy reference", 0.0)
     weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
     baseline = fit(weighed, steps=BASELINE_STEPS)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
     absorbed = tangent(baseline)
     screened = screen(baseline, preparation.library, absorbed)
     progress(f"healthy reference{suspects_text(by_signature(screened, absorbed))}", 0.05)
@@ -240,7 +241,8 @@ def calibrate(
             report = partial(progress, "healthy records, each searched")
             healthy = healthy_runs(baseline, preparation.library, floor, runs, seed, report)
         except KeyboardInterrupt:
-            warnings = ("interrupted: calibrated on resampled noise, not on healthy records searched",)
+            text = "interrupted: calibrated on resampled noise, not on healthy records searched"
+            warnings = (warning("calibration-interrupted", text),)
     return Calibration(preparation, baseline, floor, healthy, screened, warnings)
 
 
@@ -264,7 +266,7 @@ class Outcome:
     tried: FitsBySet = field(repr=False)
     alone: dict[str, float] = field(default_factory=dict, repr=False)
     interrupted: bool = False
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
     of_a_kind: OfAKind | None = None
 
     @property

@@ -20,6 +20,7 @@ from emps_design.discrepancy.verdict import Validation, validate
 from emps_design.effects import known_effects
 from emps_design.errors import EmpsError, RecordError, SimulationError
 from emps_design.laws import NONE
+from emps_design.messages import warning
 from emps_design.progress import Progress, of_part
 from emps_design.records import Record
 from emps_design.request import takes
@@ -30,8 +31,12 @@ SEARCHES = (
     (0.85, 0.15),
 )  # start and share of the progress; the noise is estimated again in between
 CONFIRMATION = (1.0, 0.05)  # the same for finishing a search that ended early
-NOT_REPEATED = "interrupted: the search was not repeated on the noise that its model left"
-STILL_FINER = "the model leaves less than the noise it was judged by: more may be there than was found"
+NOT_REPEATED = warning(
+    "repeat-interrupted", "interrupted: the search was not repeated on the noise that its model left"
+)
+STILL_FINER = warning(
+    "noise-too-large", "the model leaves less than the noise it was judged by: more may be there than was found"
+)
 
 
 @takes(DiagnosisRequest)

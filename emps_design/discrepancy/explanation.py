@@ -55,6 +55,7 @@ from emps_design.errors import RecordError, SimulationError
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.identification.model import LUMP
+from emps_design.messages import Message
 from emps_design.quantities import inside
 from emps_design.records import Record
 from emps_design.units import Units
@@ -342,7 +343,7 @@ def _by_shape(
     return parameter, value, grows
 
 
-def explain(validation: Validation, rest: tuple[str, ...] = (), closest: Closest | None = None) -> Diagnosis:
+def explain(validation: Validation, rest: tuple[Message, ...] = (), closest: Closest | None = None) -> Diagnosis:
     """The diagnosis of a validation: what is missing and where, how much of the gap is closed, what to record next.
 
     ``rest`` are warnings on data not searched; ``closest`` is the closest model, where requested.

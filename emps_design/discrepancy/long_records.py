@@ -11,6 +11,7 @@ from emps_design.discrepancy.preparation import MOST_SAMPLES, LawCheck, law_volt
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.discrepancy.records import START_UP
 from emps_design.errors import SimulationError
+from emps_design.messages import Message, warning
 from emps_design.quantities import rounded
 from emps_design.records import Record
 
@@ -44,13 +45,13 @@ def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[
 
 def check_the_rest(
     records: tuple[Record, ...], parts: tuple[Record, ...], laws: tuple[LawCheck, ...], extended: Hypothesis
-) -> tuple[tuple[str, ...], bool]:
-    """Remarks on what ``extended``, fitted to ``parts``, leaves of the whole ``records``, and whether it fails there.
+) -> tuple[tuple[Message, ...], bool]:
+    """Messages on what ``extended``, fitted to ``parts``, leaves of the whole ``records``, and whether it fails there.
 
     One simulation of each whole record shows later changes. ``parts`` are the :func:`beginnings`; ``laws`` their
     checks, one per record where the controller is known.
     """
-    remarks, more = [], False
+    remarks, more = list[Message](), False
     for index, (record, searched) in enumerate(zip(records, parts, strict=True)):
         if len(searched) == len(record):
             continue
@@ -67,7 +68,8 @@ def check_the_rest(
         try:
             (residual,) = whole.residuals()
         except SimulationError as error:
-            remarks.append(f"{head}; the model cannot be simulated to the end: {error}")
+            text = f"{head}; the model cannot be simulated to the end: {error}"
+            remarks.append(warning("rest-not-simulated", text, record=record.name))
             more = True
             continue
         size = round(PIECE_TIME / record.period)
@@ -84,5 +86,5 @@ def check_the_rest(
                 f", and {largest} in the {PIECE_TIME:g} s from {most * PIECE_TIME:g} s on, "
                 f"where {usually} are usual: something else is there, or changed; look at it with `fit_time`"
             )
-        remarks.append(text)
+        remarks.append(warning("part-searched", text, record=record.name, searched=searched.duration))
     return tuple(remarks), more

@@ -10,6 +10,7 @@ the last third of the strokes. Where too little would remain, nothing is held ou
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -39,6 +40,7 @@ from emps_design.errors import InputError, RecordError
 from emps_design.identification.excitation import backward_time, one_direction
 from emps_design.identification.model import lumped
 from emps_design.laws import get_law, law_of, recorded_gains, unit_of
+from emps_design.messages import Message, grave, warning
 from emps_design.records import Record
 from emps_design.records.clock import same_period
 from emps_design.units import Units
@@ -189,8 +191,8 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
     return f'{text}; give the controller that made this record, or kind = "none"'
 
 
-def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = False) -> list[str]:
-    """Refuse what cannot be judged; return what the records cannot tell, one sentence each.
+def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = False) -> list[Message]:
+    """Refuse what cannot be judged; return messages on what the records cannot tell.
 
     ``along_motion``: nothing is simulated, so that any period will do, and no reference is needed.
     """
@@ -200,7 +202,7 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
             f"{', '.join(record.name for record in records)}: found {samples} samples, expected at most {MOST_SAMPLES} "
             f"in all: a diagnosis takes {MEMORY / 1e3:g} kB of memory for each; cut the records to what tells most"
         )
-    gaps: list[str] = []
+    gaps: list[Message] = []
     for record in records:
         period = axis.sampling.period
         if not same_period(record.period, period):
@@ -231,8 +233,15 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
                 f"{record.name}: {100 * limited:.0f} % of the samples are at the {axis.units.word('voltage')} limit, "
                 f"expected less than {100 * rules.SATURATED:.0f} %; lower speed or acceleration"
             )
-        gaps += [f"{record.name}: {text}" for text in (*record.contradictions, *_not_excited(record, axis.units))]
+        own = (*record.contradictions, *_not_excited(record, axis.units))
+        gaps += [message.of(record.name) for message in own]
     return gaps
+
+
+def looked_for_again(effects: Sequence[str]) -> Message:
+    """The message that the ``effects`` of the axis file are not taken as known."""
+    text = f"the axis's own effects are left out and looked for again: {', '.join(effects)}"
+    return warning("looked-for-again", text, effects=effects)
 
 
 def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
@@ -272,18 +281,20 @@ def identifiable_at_one_speed(effect: Effect) -> bool:
     return force and effect.over in ("q", "t")
 
 
-def _not_excited(record: Record, units: Units) -> list[str]:
-    """What the speeds of ``record`` do not excite, one sentence each."""
+def _not_excited(record: Record, units: Units) -> list[Message]:
+    """Messages on what the speeds of ``record`` do not excite."""
     v = np.gradient(record.q_ref, record.period)
     fastest = float(np.abs(v).max())
     steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01) & (np.abs(v) > 0.02 * fastest)]
     gaps = []
     if steady.size and np.ptp(steady) < 0.1 * fastest:
-        gaps.append("one speed only, so viscous friction and its curvature cannot be told from Coulomb friction")
+        text = "one speed only, so viscous friction and its curvature cannot be told from Coulomb friction"
+        gaps.append(grave("one-speed", text))
     moving = np.abs(v) > 0
     if moving.any() and float(np.mean(np.abs(v[moving]) < SLOW)) < 0.005:
         slow = units.quantity(SLOW, "mm/s", ".2g")
-        gaps.append(f"hardly any motion below {slow}, so Stribeck friction is seen at reversals only")
+        text = f"hardly any motion below {slow}, so Stribeck friction is seen at reversals only"
+        gaps.append(warning("no-slow-motion", text, speed=SLOW))
     return gaps
 
 
@@ -408,7 +419,7 @@ class Preparation:
     laws: tuple[LawCheck, ...]
     held_out: HeldOut | None
     confirming: Confirming
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
     direction: int = 0
 
     @property
@@ -440,7 +451,7 @@ def prepare(
     library = tuple(worded(sized(line, factors), axis.units) for line in lines)
     warnings = check_records(records, axis)
     if dropped:
-        warnings.append(f"the axis's own effects are left out and looked for again: {', '.join(dropped)}")
+        warnings.append(looked_for_again(dropped))
     for other in (*records[1:], *(() if holdout is None else (holdout,))):
         check_same_drive(first, other, axis)
     for earlier, other in combinations(records, 2):
@@ -476,7 +487,7 @@ def prepare(
     if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
         library = tuple(filter(identifiable_at_one_speed, library))
-        warnings.append(filled(ONE_SPEED, axis.units))
+        warnings.append(warning("one-speed-one-way", filled(ONE_SPEED, axis.units)))
         direction = 0
     elif direction:
         held = (OFFSET,)

@@ -19,6 +19,7 @@ from emps_design.discrepancy.residual_views import EVERYWHERE, extent, force_map
 from emps_design.discrepancy.unknown_force import SLOWEST, MissingForce, missing_force, since_reversal
 from emps_design.discrepancy.verdict import Validation
 from emps_design.discrepancy.words import filled, listed
+from emps_design.messages import Message, note, warning
 from emps_design.quantities import rounded, share_asked
 from emps_design.units import Units
 
@@ -57,32 +58,34 @@ def calibration_in_words(calibration: Calibration) -> str:
     )
 
 
-def warnings(validation: Validation) -> list[str]:
-    """Everything that limits the verdict, one sentence each."""
+def warnings(validation: Validation) -> list[Message]:
+    """Messages on everything that limits the verdict."""
     preparation = validation.outcome.calibration.preparation
     remarks = [*preparation.warnings, *validation.outcome.warnings, *_limits(validation)]
     if preparation.held_out is not None:
         remarks += _of_holdout(validation, preparation.held_out)
     for index, effect in enumerate(validation.extended.model.effects):
-        remarks += [f"{effect.label}: {text}" for text in earlier_instants(validation, index)]
+        remarks += [message.of(effect.label) for message in earlier_instants(validation, index)]
     units = validation.extended.problem.axis.units
     given_up = listed(validation.given_up, units)
     if validation.in_free_run:
         before, after = (units.quantity(error, "m/s", rounded) for error in validation.in_free_run)
-        remarks.append(
+        text = (
             f"a model with {given_up} follows the record, but driven by the recorded command alone it misses the "
             f"velocity by {after} rms, more than the {before} without: it does not stand"
         )
+        remarks.append(warning("misses-in-free-run", text, effects=validation.given_up))
     elif validation.given_up:
-        remarks.append(
+        text = (
             f"a model with {given_up} explains {100 * validation.share:.0f} % of the gap, and does not stand: too "
             "little of it, not on both records, or too many others would do"
         )
+        remarks.append(warning("does-not-stand", text, effects=validation.given_up, share=validation.share))
     return remarks
 
 
-def earlier_instants(validation: Validation, index: int) -> list[str]:
-    """Remarks on instants of effect ``index`` that are earlier in the part held out than in the fitted part.
+def earlier_instants(validation: Validation, index: int) -> list[Message]:
+    """Messages on instants of effect ``index`` that are earlier in the part held out than in the fitted part.
 
     Per-record parameters were fitted again on the part held out, and kept where that was not clearly better.
     """
@@ -93,53 +96,68 @@ def earlier_instants(validation: Validation, index: int) -> list[str]:
     start, stop = kept.time
     now, there = (m.values[m.names.index(effect.name)][0] for m in (validation.extended.model, held_out.extended))
     return [
-        f"{p.name} is the first in what was fitted: {kept.what}, kept closed, has it at {there[place]:.4g} {p.unit}"
+        warning(
+            "earlier-instant",
+            f"{p.name} is the first in what was fitted: {kept.what}, kept closed, has it at "
+            f"{there[place]:.4g} {p.unit}",
+            parameter=p.name,
+            time=float(there[place]),
+        )
         for place, p in enumerate(effect.parameters)
         if p.per_record and p.unit == "s" and start <= there[place] < stop <= now[place]
     ]
 
 
-def _limits(validation: Validation) -> list[str]:
+def _limits(validation: Validation) -> list[Message]:
     calibration, extended = validation.outcome.calibration, validation.extended
     floor, units = calibration.floor, extended.problem.axis.units
-    remarks = [filled(FOLLOWED, units)] if extended.problem.follows else []
+    remarks = [warning("follows-motion", filled(FOLLOWED, units))] if extended.problem.follows else []
     left = units.quantity(force_rms(extended), "N", rounded)
     if not floor.from_laps:
-        remarks.append(
+        text = (
             f"noise is {floor.source}, not what differs between laps: what is unlike all candidates, and differs "
             "from stroke to stroke, would pass for it"
         )
+        remarks.append(warning("noise-without-laps", text))
     if validation.verdict in ("named", "ambiguous") and calibration.judge.leaves_structure(extended):
-        remarks.append(
+        text = (
             f"structure remains after the last finding: {left} where noise is "
             f"{units.quantity(floor.force, 'N', rounded)}; no further effect of the library is clear enough to name"
         )
+        remarks.append(warning("structure-remains", text, noise=floor.force))
     if validation.verdict == "unnamed":
         least = units.quantity(force_rms(validation.outcome.path[0]), "N", rounded)
-        remarks.append(
+        text = (
             f"{units.word('mass')} and friction are estimated so that the structure that is left pulls little at them: "
             f"they leave {left}, where plain least squares would bend them to leave {least}"
         )
+        remarks.append(warning("robust-estimates", text))
     if calibration.preparation.unexplained_law:
-        remarks.append("the controller's law has a gap that no effect explains, taken as known: see u minus the law")
+        text = "the controller's law has a gap that no effect explains, taken as known: see u minus the law"
+        remarks.append(warning("law-gap", text))
     return remarks
 
 
-def _of_holdout(validation: Validation, held_out: HeldOut) -> list[str]:
+def _of_holdout(validation: Validation, held_out: HeldOut) -> list[Message]:
     units = validation.extended.problem.axis.units
-    remarks = [
-        f"{listed([a.name], units)} fitted the training record and is withdrawn: the confirming "
-        f"record asks for {_amount(a)} of it"
-        for a in validation.refuted
-    ]
+    remarks = []
+    for refuted in validation.refuted:
+        text = (
+            f"{listed([refuted.name], units)} fitted the training record and is withdrawn: the confirming record asks "
+            f"for {_amount(refuted)} of it"
+        )
+        remarks.append(warning("effect-withdrawn", text, effect=refuted.name, share=refuted.share, std=refuted.std))
     if held_out.added not in ("", *validation.extended.model.names):
         seen = f"{listed([held_out.added], units)} on the confirming record, seen in its {units.word('voltage')}"
-        remarks.append(f"{seen}: taken as known there, by both models")
+        text = f"{seen}: taken as known there, by both models"
+        remarks.append(warning("effect-of-confirming-record", text, effect=held_out.added))
     elif held_out.law is not None and held_out.law.unexplained:
-        remarks.append("the controller's law has a gap on the confirming record too, taken as known there")
+        text = "the controller's law has a gap on the confirming record too, taken as known there"
+        remarks.append(warning("law-gap-on-confirming-record", text))
     if validation.held_out is not None and validation.held_out.refitted:
         names = ", ".join(validation.held_out.refitted)
-        remarks.append(f"fitted anew on the confirming record, because they belong to one record: {names}")
+        text = f"fitted anew on the confirming record, because they belong to one record: {names}"
+        remarks.append(note("fitted-anew", text, parameters=validation.held_out.refitted))
     return remarks
 
 

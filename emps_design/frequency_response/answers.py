@@ -31,6 +31,7 @@ import numpy as np
 from emps_design.errors import RecordError
 from emps_design.frequency_response.broadband import CLEAR, Answer, blocks, local_polynomial, welch
 from emps_design.frequency_response.signals import COMMAND, Signals, Step, quantised
+from emps_design.messages import Message, warning
 from emps_design.progress import Progress
 
 LINES = 14  # lines between the excited ones that the parabola is laid through
@@ -188,16 +189,17 @@ class Distortion:
         return np.interp(frequency, self.odd_lines, smooth) * np.maximum(usual / power, 1.0)
 
     @property
-    def words(self) -> list[str]:
-        """A sentence for each kind of distortion above 5 %."""
-        sentences = []
+    def warnings(self) -> list[Message]:
+        """A message on each kind of distortion above 5 %."""
+        messages = []
         for name, level in (("odd", self.odd), ("even", self.even)):
             if level is not None and level > 0.05:
-                sentences.append(
+                text = (
                     f"{name} nonlinear distortion of {100 * level:.2g} % of the linear answer, noise of one period "
                     f"{100 * self.noise:.2g} %"
                 )
-        return sentences
+                messages.append(warning("nonlinear-distortion", text, level=level, noise=self.noise))
+        return messages
 
     def to_dict(self) -> dict[str, Any]:
         """The three levels."""

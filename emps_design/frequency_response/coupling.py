@@ -29,6 +29,7 @@ from emps_design.control.sampled import transfer
 from emps_design.effects.two_mass import linear_coupling
 from emps_design.errors import InputError
 from emps_design.frequency_response.response import BAND, FrequencyResponse, resonances, turning_delay
+from emps_design.messages import Message, warning
 from emps_design.stretches import stretches
 from emps_design.units import LINEAR, Units
 from emps_design.view import Table
@@ -154,14 +155,15 @@ class MassChain:
         return float(quantity(self.theta)), std if np.isfinite(std) else np.inf
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences where the chain misses the response, or where its friction or delay is negative."""
-        words = []
+    def warnings(self) -> tuple[Message, ...]:
+        """Messages where the chain misses the response, or where its friction or delay is negative."""
+        messages = []
         if self.misfit > MISSED:
-            words.append(
+            text = (
                 f"{self.label} with a delay miss the response by {self.misfit:.2g} deviations, expected about 1: their "
                 "values and intervals say nothing"
             )
+            messages.append(warning("chain-misses-response", text, misfit=self.misfit))
         values = self.parameters
         causes = {
             "viscous": "friction that falls with speed",
@@ -170,11 +172,12 @@ class MassChain:
         for name, what in causes.items():
             value, std, _ = values[name]
             if value < -CERTAINLY * std:
-                words.append(
+                text = (
                     f"{self.label}: found a {name} {-value / std:.3g} deviations below 0, expected at least 0: {what}; "
                     "check sign and unit of the command, and the computation delay of the axis"
                 )
-        return tuple(words)
+                messages.append(warning("negative-parameter", text, parameter=name, value=value, std=std))
+        return tuple(messages)
 
     def table(self) -> Table:
         """The parameters with their deviations."""

@@ -34,6 +34,7 @@ from emps_design.frequency_response.measured_plant import continuous_from_increm
 from emps_design.frequency_response.response import BAND, FrequencyResponse, Resonance, has_wrong_sign, resonances
 from emps_design.frequency_response.signals import COMMAND, EXCITATION, REFERENCE, Signals, motion, signals_of
 from emps_design.laws import NONE
+from emps_design.messages import Message, note, warning, wrong
 from emps_design.observer import back_emf_compensation, motor_share
 from emps_design.progress import Progress, no_progress
 from emps_design.records import Record
@@ -128,7 +129,7 @@ class ResponseEstimate(Viewed):
     rest_share: float
     left_out: int
     axis: Axis = field(repr=False)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     @cached_property
     def comparison(self) -> ResponseComparison:
@@ -136,7 +137,7 @@ class ResponseEstimate(Viewed):
         return ResponseComparison(self.response, self.axis)
 
     @property
-    def all_warnings(self) -> tuple[str, ...]:
+    def all_warnings(self) -> tuple[Message, ...]:
         """Warnings about the data and about the chain of masses that fits them."""
         return (*self.warnings, *self.comparison.chain.warnings)
 
@@ -431,33 +432,38 @@ def _words(
     seconds: float,
     left_out: int,
     units: Units,
-) -> list[str]:
-    """Warnings about the response and the motion of its records."""
-    words, carriage = [], units.word("carriage")
+) -> list[Message]:
+    """Messages on the response and the motion of its records."""
+    messages, carriage = list[Message](), units.word("carriage")
     if has_wrong_sign(response):
-        words.append(
+        text = (
             f"the command has the wrong sign: at {response.frequency[0]:.3g} Hz the phase of the response is "
             f"{response.phase_deg[0]:.0f} deg, expected between -90 (a {units.word('mass')}) and 0 (a friction)"
         )
+        messages.append(wrong("wrong-sign", text, phase_deg=float(response.phase_deg[0])))
     if reversals > extra.passes or rest > RESTING:
-        words.append(
+        text = (
             f"the {carriage} reverses {reversals} times in {seconds:.3g} s and rests {100 * rest:.2g} % of it: dry "
             "friction biases the response, most at low frequencies, and no deviation shows it; excite it on a running "
             f"{carriage}"
         )
+        messages.append(warning("dry-friction-biases", text, reversals=reversals, rest=rest))
     if extra.scatter > 2.0:
-        words.append(
+        text = (
             f"the passes differ {np.sqrt(extra.scatter):.2g} times as much as noise explains, and the deviations are "
             "as much larger: the plant depends on position, direction or time"
         )
+        messages.append(warning("passes-differ", text, scatter=extra.scatter))
     if extra.steps > REPEATED:
-        words.append(
+        text = (
             f"the encoder's steps repeat with the excitation, {extra.steps:.2g} times as much as by chance, and the "
             f"deviations are raised for it: the {carriage} runs whole steps, or a simple share of one, in each period; "
             "excite it at a slightly different speed"
         )
+        messages.append(warning("encoder-steps-repeat", text, steps=extra.steps))
     if extra.distortion is not None:
-        words += extra.distortion.words
+        messages += extra.distortion.warnings
     if left_out:
-        words.append(f"{left_out} lines left out: beyond the band, or the answer does not stand out of the noise there")
-    return words
+        text = f"{left_out} lines left out: beyond the band, or the answer does not stand out of the noise there"
+        messages.append(note("lines-left-out", text, count=left_out))
+    return messages

@@ -39,6 +39,7 @@ from emps_design.frequency_response.waves import (
     Wave,
 )
 from emps_design.laws.estimators import estimator_response
+from emps_design.messages import Message, warning
 from emps_design.records.layout import LONGEST
 from emps_design.request import takes
 from emps_design.simulation import Plant
@@ -229,7 +230,7 @@ class Experiment(Viewed):
     noise: float
     peaks: dict[str, float]
     bound_by: str
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     @property
     def period(self) -> float:
@@ -384,12 +385,13 @@ def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) ->
     noise = NOISE_SHARE * axis.mechanics.coulomb if request.noise is None else request.noise
     std = _expected(axis, speed, w, amplitude * np.abs(spectrum * command), each, noise)
     faint = int(np.count_nonzero(std > 0.3))
-    words = (f"{faint} of {f.size} lines will hardly stand out of the noise",) if faint else ()
+    text = f"{faint} of {f.size} lines will hardly stand out of the noise"
+    warnings = (warning("faint-lines", text, count=faint),) if faint else ()
     periods = wave.periods(flat) if isinstance(wave, MultiSine) else BLOCKS
     samples = samples if isinstance(wave, MultiSine) else int(np.max(each)) // BLOCKS // request.passes
     return Experiment(
         axis, wave.label, at, q_ref, excitation, f, std, request.speed, speed, len(trains), periods, samples, noise,
-        peaks, bound_by, words,
+        peaks, bound_by, warnings,
     )  # fmt: skip
 
 

@@ -55,6 +55,7 @@ from emps_design.laws import law_of
 from emps_design.laws.estimators import estimator_response
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import LinearLaw, linear_law
+from emps_design.messages import Message, grave, warning
 from emps_design.request import Request, option, takes
 from emps_design.units import Units
 
@@ -254,7 +255,7 @@ class MeasuredMargins:
     bands: dict[str, tuple[float, float] | None]
     stable_share: float
     antiresonance: float | None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     def loop(self, name: str) -> NestedLoop:
         """The margins as a :class:`NestedLoop` of that ``name``."""
@@ -371,15 +372,20 @@ def worst_of(margins: Sequence[MeasuredMargins]) -> dict[str, float | None]:
     return worst
 
 
-def over_limits(values: Mapping[str, Any], limits: Mapping[str, float]) -> list[str]:
-    """Return a sentence for each sensitivity peak of ``values`` above its limit; both are ratios by name.
+def over_limits(values: Mapping[str, Any], limits: Mapping[str, float]) -> list[Message]:
+    """Return a message on each sensitivity peak of ``values`` above its limit; both are ratios by name.
 
     >>> over_limits({"sensitivity_peak_below": 2.31, "sensitivity_peak_above": 1.2}, {"sensitivity_peak_below": 2.0})
     ['the largest sensitivity below the first antiresonance is 2.31, asked for at most 2']
     """
     return [
-        f"the largest sensitivity {name.rpartition('_')[2]} the first antiresonance is {values[name]:.4g}, "
-        f"asked for at most {limit:.4g}"
+        warning(
+            "sensitivity-peak",
+            f"the largest sensitivity {name.rpartition('_')[2]} the first antiresonance is {values[name]:.4g}, "
+            f"asked for at most {limit:.4g}",
+            value=values[name],
+            limit=limit,
+        )
         for name, limit in limits.items()
         if values[name] is not None and values[name] > limit
     ]
@@ -418,32 +424,36 @@ def _words(
     size: np.ndarray,
     grid: np.ndarray,
     units: Units,
-) -> list[str]:
-    """Warnings: an unstable loop, and margins beyond the data."""
-    words = list(response.warnings)
+) -> list[Message]:
+    """Messages on an unstable loop, and on margins beyond the data."""
+    name, messages = response.name, list(response.warnings)
     low, high = float(response.w[0]), float(response.w[-1])
     if not stable:
-        words.append(f"{response.name}: the loop is unstable on the measured plant")
+        messages.append(grave("unstable-on-measured-plant", f"{name}: the loop is unstable on the measured plant"))
     elif share < 0.975:
-        words.append(f"{response.name}: unstable in {100 * (1 - share):.3g} % of the plants that the deviations allow")
+        text = f"{name}: unstable in {100 * (1 - share):.3g} % of the plants that the deviations allow"
+        messages.append(grave("unstable-within-deviations", text, share=share))
     lowest, highest = (size[int(np.searchsorted(grid, w))] for w in (low, high * (1.0 - 1e-12)))
     if lowest < 1.0:
-        words.append(
-            f"{response.name}: the open loop is {lowest:.2g} at the lowest line, {low / (2 * math.pi):.3g} Hz: a "
-            "crossover below it is not seen; measure from lower frequencies"
+        text = (
+            f"{name}: the open loop is {lowest:.2g} at the lowest line, {low / (2 * math.pi):.3g} Hz: a crossover "
+            "below it is not seen; measure from lower frequencies"
         )
+        messages.append(warning("crossover-below-data", text, gain=float(lowest), frequency=low))
     if highest > 0.5:
-        words.append(
-            f"{response.name}: the open loop is {highest:.2g} at the highest line, {high / (2 * math.pi):.4g} Hz: "
-            "a crossover above it is not seen; measure up to higher frequencies"
+        text = (
+            f"{name}: the open loop is {highest:.2g} at the highest line, {high / (2 * math.pi):.4g} Hz: a crossover "
+            "above it is not seen; measure up to higher frequencies"
         )
+        messages.append(warning("crossover-above-data", text, gain=float(highest), frequency=high))
     at = values["gain_margin_frequency"]
     if at is not None and not low <= at <= high:
-        words.append(
-            f"{response.name}: the gain margin lies at {at / (2 * math.pi):.4g} Hz, beyond the data, on their "
+        text = (
+            f"{name}: the gain margin lies at {at / (2 * math.pi):.4g} Hz, beyond the data, on their "
             f"{units.word('mass')} line"
         )
-    return words
+        messages.append(warning("gain-margin-beyond-data", text, frequency=at))
+    return messages
 
 
 @dataclass(frozen=True, eq=False)
@@ -523,7 +533,8 @@ def retune_on_response(response: FrequencyResponse, axis: Axis, request: RetuneR
         margins = measured_margins(response, design.loop_axis, draws=0)
         if not margins.stable:
             return design, "the loop would be unstable"
-        lacks, phase = over_limits(margins.values, limits), margins.values["phase_margin_deg"]
+        lacks: list[str] = [*over_limits(margins.values, limits)]
+        phase = margins.values["phase_margin_deg"]
         if place == PLACES[0] and (phase is None or abs(phase / phase_margin_deg - 1.0) >= MET):
             lacks.append("another crossing has less phase margin")
         return design, " and ".join(lacks)

@@ -31,6 +31,7 @@ import numpy as np
 
 from emps_design.errors import InputError, nearest_name, one_line
 from emps_design.files import read_bytes, write_aside
+from emps_design.messages import Message, note
 from emps_design.records.archives import is_v5, is_v73, read_v5, read_v73
 from emps_design.records.tables import read_plain_table
 from emps_design.view import Table, View, Viewed
@@ -83,7 +84,7 @@ class FrequencyResponse(Viewed):
     std: np.ndarray
     coherence: np.ndarray
     name: str = "response"
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     @classmethod
     def of(
@@ -110,8 +111,8 @@ class FrequencyResponse(Viewed):
         if f[0] == 0.0 or np.any(np.diff(f) <= 0.0):
             at = 0 if f[0] == 0.0 else int(np.argmax(np.diff(f) <= 0.0)) + 1
             raise InputError(f"{name}: frequency, line {at + 1}: found {f[at]:g} Hz, expected rising, above 0")
-        warnings = () if np.any(s > 0.0) else (f"{name}: no standard deviations, so margins have no bands",)
-        return cls(f, g, s, c, name, warnings)
+        exact = note("no-deviations", f"{name}: no standard deviations, so margins have no bands")
+        return cls(f, g, s, c, name, () if np.any(s > 0.0) else (exact,))
 
     def __len__(self) -> int:
         return self.frequency.size

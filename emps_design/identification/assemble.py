@@ -27,6 +27,7 @@ from emps_design.identification.problem import Regression
 from emps_design.identification.proposals import unexplained
 from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run, residual_bootstrap
+from emps_design.messages import Message, grave, warning, wrong
 from emps_design.units import Units
 
 FACTORS = (0.5, 2.0)
@@ -129,7 +130,7 @@ def cutoff_sensitivity(
     return CutoffSensitivity(names, own.value, tuple(cutoffs), np.reshape(tried, (len(tried), len(names))), moved)
 
 
-def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
+def implausible(values: Mapping[str, float], axis: Axis) -> list[Message]:
     """A message where parameters are impossible or far from ``axis``, with the likely cause; [] for plausible ones.
 
     ``values`` are identified parameters by name, SI; of two directions the mean counts.
@@ -147,7 +148,8 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
     negative = [name for name, value in identified.items() if value < 0]
     if negative:
         listed = ", ".join(_with_unit(name, identified[name], axis.units) for name in negative)
-        return [f"no axis has {listed}: {_why_negative(identified, negative)}"]
+        text = f"no axis has {listed}: {_why_negative(identified, negative)}"
+        return [wrong("impossible-parameters", text, **{name: identified[name] for name in negative})]
     own = {name: float(getattr(axis.mechanics, name)) for name in identified}
     shares = {name: value / own[name] for name, value in identified.items() if own[name] > 0 and value > 0}
     far = [name for name, share in shares.items() if not 1.0 / FAR[name] < share < FAR[name]]
@@ -165,7 +167,8 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[str]:
         why = (
             f"this is what {column.format(force=force)} in another unit gives, {size}: look at the unit of that column"
         )
-    return [f"far from the axis: {beside}; {why}"]
+    text = f"far from the axis: {beside}; {why}"
+    return [wrong("far-from-axis", text, **{name: identified[name] for name in far})]
 
 
 def _mean(values: Mapping[str, float], name: str) -> float | None:
@@ -221,7 +224,7 @@ def assemble(
     estimator: str,
     Z: np.ndarray | None = None,
     errors: Errors = Errors(),
-    notes: Sequence[str] = (),
+    notes: Sequence[Message] = (),
     extra: Mapping[str, Any] | None = None,
     weakest: float = WEAK_RELIABILITY,
 ) -> Identification:
@@ -238,7 +241,7 @@ def assemble(
     at_rests = known_near_rest_only(problem) if weakest > 0 else ()
     used = filtered.used
     sizes, swing = np.sqrt(np.mean(W[used] ** 2, axis=0)), float(np.std(problem.Y[used]))
-    warnings: list[str] = []
+    warnings: list[Message] = []
     estimates = {}
     values = problem.parameters(fit.value)
     std = structure.widening * spread.std
@@ -278,13 +281,13 @@ def assemble(
                 "than the motor made the motion (a hand, another drive); record motion that the motor makes"
             )
         if why:
-            warnings.append(f"{axis.units.word(quantity.name)} is not determined: {why}")
+            text = f"{axis.units.word(quantity.name)} is not determined: {why}"
+            warnings.append(grave("not-determined", text, parameter=quantity.name))
             estimates[quantity.name] = Estimate(quantity, None, None, reliability=share)
             continue
         if half > abs(value) and quantity.name not in MAY_BE_ZERO:
-            warnings.append(
-                f"{axis.units.word(quantity.name)}: its 95 % interval reaches zero; the record hardly determines it"
-            )
+            text = f"{axis.units.word(quantity.name)}: its 95 % interval reaches zero; the record hardly determines it"
+            warnings.append(warning("interval-reaches-zero", text, parameter=quantity.name, value=value, half=half))
         estimates[quantity.name] = Estimate(
             quantity=quantity,
             value=value,

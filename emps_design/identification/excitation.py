@@ -9,6 +9,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
+from emps_design.messages import warning
 from emps_design.records import Record
 
 REFUSE, KNOWN = "refuse", "known"  # treatment of a record with a measured external force
@@ -67,8 +68,8 @@ def force_free(record: Record, axis: Axis, external_force: str = REFUSE) -> Reco
     if rms == 0.0:
         return replace(record, f_ext=None)
     size = units.quantity(rms, "N", ".2g")
-    note = f"f_ext: its {size} rms are taken for sensor noise and left out (`external_force='known'` uses it)"
-    return replace(record, f_ext=None, warnings=(*record.warnings, note))
+    text = f"f_ext: its {size} rms are taken for sensor noise and left out (`external_force='known'` uses it)"
+    return replace(record, f_ext=None, warnings=(*record.warnings, warning("force-is-noise", text, rms=rms)))
 
 
 def follows(record: Record) -> bool:

@@ -53,13 +53,11 @@ from emps_design.identification.result import (
     IdentificationRequest,
 )
 from emps_design.laws import NONE
+from emps_design.messages import Message, note, warning
 from emps_design.records import Record
 from emps_design.request import takes
 
 MOST_NOISE = 0.5  # of a column's own power: at most so much is attributed to encoder noise
-
-WEIGHT = f"{GRAVITY}: on an axis that moves along a line a weight is the constant_force, which is always identified"
-UNTESTED = "whether least squares is biased was not tested"
 
 
 def identify_by_least_squares(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
@@ -90,9 +88,8 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Identificatio
         better, systematic = _compare_with_hold(problem, fit, chosen)
         errors = Errors(systematic)
         if better is None:
-            remarks.append(
-                "too little of the record is away from rest: the intervals leave out the error by friction at rest"
-            )
+            text = "too little of the record is away from rest: the intervals leave out the error by friction at rest"
+            remarks.append(warning("rest-left-out", text))
         else:
             extra["hold_modelled"] = {name: estimate.to_dict() for name, estimate in better.parameters.items()}
     identification = assemble(problem, fit, "least_squares", errors=errors, notes=remarks, extra=extra)
@@ -228,11 +225,12 @@ def identify(record: Record, axis: Axis | None = None, request: IdentificationRe
         from emps_design.machines import machine
 
         axis = machine("emps2019")
-    weight = "" if axis.units.rotary or GRAVITY not in (request.terms or ()) else WEIGHT
-    if weight:
-        request = replace(request, with_=[term for term in request.terms or () if term != GRAVITY])
+    if axis.units.rotary or GRAVITY not in (request.terms or ()):
+        return _identified(record, axis, request)
+    request = replace(request, with_=[term for term in request.terms or () if term != GRAVITY])
     identification = _identified(record, axis, request)
-    return replace(identification, warnings=(*identification.warnings, weight)) if weight else identification
+    text = f"{GRAVITY}: on an axis that moves along a line a weight is the constant_force, which is always identified"
+    return replace(identification, warnings=(*identification.warnings, warning("weight-is-constant", text)))
 
 
 def _identified(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
@@ -258,13 +256,11 @@ def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identif
     if request.filter != DEFAULT_CHAIN or axis.controller.kind == NONE or not record.has_reference:
         return plain
     if request.bootstrap:
-        remark = f"{UNTESTED}: a bootstrap goes with least squares"
-        return replace(plain, warnings=(*plain.warnings, remark))
+        return _untested(plain, "a bootstrap goes with least squares")
     if len(record) > LONG:
-        remark = f"{UNTESTED}: the test takes at most {LONG} samples; test a part of the record"
-        return replace(plain, warnings=(*plain.warnings, remark))
+        return _untested(plain, f"the test takes at most {LONG} samples; test a part of the record")
     if goes_one_way(record):
-        return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: motion one way is not enough for it"))
+        return _untested(plain, "motion one way is not enough for it")
     from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
 
     parameters = plain.parameters
@@ -273,7 +269,7 @@ def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identif
         undetermined = [name for name in parameters if _hidden_by_noise(parameters[name], WEAK_RELIABILITY)]
         instrumental = fit.identification() if undetermined or fit.test.matters else None
     except (EmpsError, np.linalg.LinAlgError) as error:  # the simulation with this controller does not follow
-        return replace(plain, warnings=(*plain.warnings, f"{UNTESTED}: {error}"))
+        return _untested(plain, str(error))
     hidden = [name for name in undetermined if _hidden_by_noise(parameters[name], WEAK_INSTRUMENT)]
     tried = None if instrumental is None else _output_error_for_hidden(record, axis, request, hidden, instrumental)
     if tried is not None:
@@ -290,6 +286,12 @@ def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identif
         instrumental, warnings=(*instrumental.warnings, *_weak_column_warnings(instrumental)), proposed=plain.proposed
     )
     return _with_held_out_error(instrumental, request)
+
+
+def _untested(plain: Identification, why: str) -> Identification:
+    """The ``plain`` least squares with the message that its bias was not tested, and ``why``."""
+    message = warning("bias-not-tested", f"whether least squares is biased was not tested: {why}")
+    return replace(plain, warnings=(*plain.warnings, message))
 
 
 # Imported in the functions: the simulation's modules would add a tenth to the memory of a long record's regression.
@@ -356,9 +358,11 @@ def _output_error_for_hidden(
     sure = all(name in ends and ends[name][0] * ends[name][1] > 0.0 for name in hidden)
     if not sure or any(ends[name][0] > high or ends[name][1] < low for name, (low, high) in others.items()):
         return None
-    remark = (
+    remark = note(
+        "by-output-error",
         f"{', '.join(map(axis.units.word, hidden))}: by output error, for the measured motion is noise there, and "
-        "least squares and instruments do not determine it"
+        "least squares and instruments do not determine it",
+        parameters=hidden,
     )
     extra = by_output_error.extra | {"hausman_test": instrumental.extra["hausman_test"]}
     return replace(by_output_error, extra=extra, warnings=(*by_output_error.warnings, remark))
@@ -369,13 +373,18 @@ def _hidden_by_noise(estimate: Estimate, weakest: float) -> bool:
     return not estimate.determined and estimate.reliability is not None and estimate.reliability < weakest
 
 
-def _weak_column_warnings(instrumental: Identification) -> list[str]:
-    """Warnings for parameters that only instruments determine: their error may exceed their interval."""
+def _weak_column_warnings(instrumental: Identification) -> list[Message]:
+    """Messages on parameters that only instruments determine: their error may exceed their interval."""
     shares = {name: estimate.reliability for name, estimate in instrumental.parameters.items() if estimate.determined}
     word = instrumental.axis.units.word
     return [
-        f"{word(name)}: the reference explains {100.0 * share:.2g} % of its column, least squares would not determine "
-        "it; compare output error (oe), or record more acceleration"
+        warning(
+            "weak-column",
+            f"{word(name)}: the reference explains {100.0 * share:.2g} % of its column, least squares would not "
+            "determine it; compare output error (oe), or record more acceleration",
+            parameter=name,
+            share=share,
+        )
         for name, share in shares.items()
         if share is not None and share < WEAK_RELIABILITY
     ]

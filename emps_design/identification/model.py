@@ -15,6 +15,7 @@ import numpy as np
 from emps_design.effects import Motion
 from emps_design.effects.terms import ANGLE, BENT, GRAVITY, HIGHEST, LOWEST, POWER, TERMS
 from emps_design.errors import InputError, nearest_name
+from emps_design.messages import Message, grave
 from emps_design.quantities import Quantity
 from emps_design.units import Units
 
@@ -40,12 +41,13 @@ ONE_WAY, LUMP = "one way", Quantity("coulomb_and_offset", "F_c0", "N", text="Cou
 FRICTION = tuple(f"{kind}{way}" for kind in ("viscous", "coulomb") for way in ("", "_positive", "_negative"))
 
 
-def lumped(units: Units) -> str:
-    """The warning that motion one way does not separate Coulomb friction from a constant force."""
-    return (
+def lumped(units: Units) -> Message:
+    """The message that motion one way does not separate Coulomb friction from a constant force."""
+    text = (
         f"coulomb, constant_force are not determined: the motion goes one way only, where both are one "
         f"{units.word('force')}, {LUMP.name}; record the other way too and give both records"
     )
+    return grave("one-way", text)
 
 
 def parameters_of(model: str) -> tuple[Quantity, ...]:

@@ -20,6 +20,7 @@ from emps_design.identification.filters import SLOW, held_force, motion, share_o
 from emps_design.identification.identify import identify
 from emps_design.identification.result import Identification
 from emps_design.identification.view import observation_view
+from emps_design.messages import Message, note, warning
 from emps_design.observer import (
     DEFAULT_CUTOFF_HZ,
     REST_VELOCITY,
@@ -170,7 +171,7 @@ class Observation(Viewed):
     t: np.ndarray = field(repr=False)
     f_ext: np.ndarray | None = field(repr=False)
     methods: dict[str, MethodResult] = field(repr=False)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
     units: Units = field(default=Units(), repr=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -215,9 +216,8 @@ def observe(
     warnings = list(record.warnings)
     for method, kinds in left_out(axis).items():
         if kinds:
-            warnings.append(
-                f"{method}: left out, their {axis.units.word('force')} is not in the motion: {', '.join(kinds)}"
-            )
+            text = f"{method}: left out, their {axis.units.word('force')} is not in the motion: {', '.join(kinds)}"
+            warnings.append(warning("effects-not-observed", text, effects=kinds))
 
     cutoff_hz = min(DEFAULT_CUTOFF_HZ, ONLINE_SHARE / record.period) if cutoff_hz is None else cutoff_hz
     if offline_cutoff_hz is None:
@@ -240,7 +240,7 @@ def observe(
             "encoder_noise_std": kalman.noise_std,
         }
     else:
-        warnings.append("no Kalman observer: the axis gives no encoder_resolution")
+        warnings.append(note("no-kalman-observer", "no Kalman observer: the axis gives no encoder_resolution"))
     made_up = FILTER_ENDS * 2.0 * record.period / share_of_nyquist(offline_cutoff_hz, record.period)
     ends = {
         "offline": (made_up, made_up),

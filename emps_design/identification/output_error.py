@@ -35,6 +35,7 @@ from emps_design.identification.model import Model
 from emps_design.identification.problem import Regression, acting, identified_effects, known_part, notes, settled
 from emps_design.identification.result import Identification
 from emps_design.laws import NONE
+from emps_design.messages import Message, warning
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
@@ -60,7 +61,7 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
     start = {**mechanics, "viscous": p.get("viscous", mechanics["viscous"])}
     for name in ("mass", "viscous", "coulomb"):
         if not start[name] > 0:
-            why = implausible(p, axis) or [
+            why: list[str] = [*implausible(p, axis)] or [
                 "the record does not determine it: record several constant speeds in both directions, with "
                 "acceleration between them"
             ]
@@ -193,8 +194,8 @@ def identify_by_output_error(
     )
 
 
-def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[Regression, np.ndarray, list[str]]:
-    """The regression at this ``cutoff`` [Hz], the start (p,) of the search, and notes for the user.
+def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[Regression, np.ndarray, list[Message]]:
+    """The regression at this ``cutoff`` [Hz], the start (p,) of the search, and messages.
 
     The start is the least-squares solution. Where too little of the record is away from rest, rests take part and the
     mechanics of ``axis`` are the start.
@@ -209,10 +210,11 @@ def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[R
         model = settled(filtered, model)
         W, Y = regression(filtered, model)
         force, carriage = axis.units.word("force"), axis.units.word("carriage")
-        remarks.append(
+        text = (
             f"too little of the record is away from rest, so rests take part: a slow {force} that acts on the "
             f"{carriage} at rest biases its friction"
         )
+        remarks.append(warning("rests-take-part", text))
         return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), remarks
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from emps_design.axis import Axis
 from emps_design.identification.controller import identify_law
+from emps_design.messages import Message, warning
 from emps_design.records import Record
 
 
-def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, str]:
-    """The ``axis`` with the controller identified from ``record``, None where there is none, and a note on it.
+def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, Message]:
+    """The ``axis`` with the controller identified from ``record``, None where there is none, and a message on it.
 
     >>> import numpy as np
     >>> from emps_design.machines import machine
@@ -19,6 +20,8 @@ def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, str]:
     """
     law = identify_law(record, axis.units)
     if law.controller is None:
-        return None, f"{axis.name} has no controller, and none is identified from the record: {law.reason}"
+        text = f"{axis.name} has no controller, and none is identified from the record: {law.reason}"
+        return None, warning("no-law", text)
     with_law = Axis.from_dict({**axis.to_dict(), "controller": law.controller}, axis.name)
-    return with_law, f"{axis.name} has no controller; the one of the record was used ({law.in_words}); law writes it"
+    text = f"{axis.name} has no controller; the one of the record was used ({law.in_words}); law writes it"
+    return with_law, warning("law-of-the-record", text)

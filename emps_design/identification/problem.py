@@ -26,6 +26,7 @@ from emps_design.identification.inverse_model import (
     with_predicted_force,
 )
 from emps_design.identification.model import Model, powered
+from emps_design.messages import Message, warning
 from emps_design.observer import acting_voltage, effects_force, left_out, motor_share, sampled_with
 from emps_design.records import Record
 
@@ -97,8 +98,8 @@ def check_chain(chain: str) -> None:
         raise InputError(f"`filter`: found {chain!r}, expected {', '.join(CHAINS)}{nearest_name(chain, list(CHAINS))}")
 
 
-def notes(axis: Axis, simulated: bool = False) -> list[str]:
-    """Notes for the user on how the identification treats the effects of ``axis``, one line each.
+def notes(axis: Axis, simulated: bool = False) -> list[Message]:
+    """Messages on how the identification treats the effects of ``axis``, one line each.
 
     ``simulated``: the estimator simulates all effects and needs no regressor for them.
 
@@ -106,22 +107,25 @@ def notes(axis: Axis, simulated: bool = False) -> list[str]:
     >>> notes(machine("emps2019"))
     []
     """
-    lines = []
+    messages = []
     _, rest = acting_voltage(axis, np.zeros(1))
     unused = () if simulated else left_out(rest)["offline"]
     taken = [entry.kind for entry in axis.effects if entry.kind not in unused]
     if taken:
-        lines.append(f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}")
+        text = f"taken as known from {axis.name}, and kept in the identified axis: {', '.join(taken)}"
+        messages.append(warning("effects-known", text, effects=taken))
     if unused:
         force, mass = axis.units.word("force"), axis.units.word("mass")
-        lines.append(
+        text = (
             f"left out of the regression, for the motion does not give their {force}: {', '.join(unused)}; they "
             f"bias {mass} and friction, output error (oe) simulates them"
         )
+        messages.append(warning("effects-left-out", text, effects=unused))
     own = [entry.kind for entry in axis.effects if any(p.per_record for p in entry.effect.parameters)]
     if own:
-        lines.append(f"right only if the axis was made from this record, by phase or time: {', '.join(own)}")
-    return lines
+        text = f"right only if the axis was made from this record, by phase or time: {', '.join(own)}"
+        messages.append(warning("effects-of-one-record", text, effects=own))
+    return messages
 
 
 @dataclass(frozen=True)

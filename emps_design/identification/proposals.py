@@ -32,6 +32,7 @@ from emps_design.identification.model import Model, powered
 from emps_design.identification.problem import Regression, acting, filter_record, known_part
 from emps_design.identification.result import IdentificationRequest
 from emps_design.identification.statistics import LongRun
+from emps_design.messages import Message, wrong
 from emps_design.records import Record
 from emps_design.stretches import stretches
 from emps_design.units import LINEAR, Units
@@ -88,17 +89,18 @@ class Unexplained:
             "widening": self.widening,
         }
 
-    def warnings(self, units: Units = LINEAR) -> list[str]:
-        """A warning with the next step on an axis with ``units``, or [] where the residual is small."""
+    def warnings(self, units: Units = LINEAR) -> list[Message]:
+        """A message with the next step on an axis with ``units``, or [] where the residual is small."""
         if not self.matters:
             return []
-        message = f"the model leaves {100.0 * self.share:.2g} % of the {units.word('force')} unexplained"
+        text = f"the model leaves {100.0 * self.share:.2g} % of the {units.word('force')} unexplained"
         if self.structure > LITTLE:
-            message += (
+            text += (
                 f", and {100.0 * self.structure:.2g} % comes again with the same motion, so it is no noise (noise: "
                 f"{100.0 * self.noise:.2g} %); the intervals are {self.widening:.2g} times as wide for it"
             )
-        return [f"{message}: the machine has something that the model lacks; next: diagnose, which names it"]
+        text += ": the machine has something that the model lacks; next: diagnose, which names it"
+        return [wrong("unexplained-force", text, share=self.share, structure=self.structure)]
 
 
 def unexplained(problem: Regression, residual: np.ndarray, spread: LongRun) -> Unexplained:

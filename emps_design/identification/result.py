@@ -21,6 +21,7 @@ from emps_design.identification.model import MODELS, Model
 from emps_design.identification.problem import identified_effects
 from emps_design.identification.statistics import LongRun
 from emps_design.identification.view import identification_view
+from emps_design.messages import Message
 from emps_design.quantities import Quantity
 from emps_design.records import Record
 from emps_design.request import HERTZ, Request, option
@@ -186,7 +187,7 @@ class Identification(Viewed):
     samples: int
     residual: LongRun
     hac_lag: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
     axis: Axis = field(repr=False)
     period: float = field(repr=False)
     series: dict[str, np.ndarray] = field(repr=False, compare=False)

@@ -22,6 +22,7 @@ from emps_design.identification.result import (
     IdentificationRequest,
 )
 from emps_design.identification.view import several_view
+from emps_design.messages import Message, warning
 from emps_design.records import Record
 from emps_design.records.record import joined
 from emps_design.request import takes
@@ -29,7 +30,6 @@ from emps_design.view import View, Viewed
 
 DRIFT_LEVEL = 0.01
 OUTPUT_ERROR = "output_error"
-TOGETHER = "the records go one way each, and are fitted together"
 # The estimator's name in a result, and the option that requests it; the more specific ones come later.
 NAMES = {
     "least_squares": BY_LEAST_SQUARES,
@@ -48,7 +48,7 @@ class SeveralIdentifications(Viewed):
 
     identifications: tuple[Identification, ...]
     cross_validation: np.ndarray
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
     model: str
     axis: Axis = field(repr=False)
 
@@ -189,7 +189,7 @@ def identify_several(
             judge = identify(record, axis, replace(request, estimator=BY_LEAST_SQUARES, with_=fit.fitted.terms))
         problems.append(judge)
     matrix = np.array([[_error(fit, judge) for judge in problems] for fit in fits])
-    warnings = tuple(f"{fit.record}: {text}" for fit in fits for text in fit.warnings)
+    warnings = tuple(message.of(fit.record) for fit in fits for message in fit.warnings)
     return SeveralIdentifications(tuple(fits), matrix, warnings, fits[0].model, axis)
 
 
@@ -208,7 +208,8 @@ def identify_together(records: Sequence[Record], axis: Axis, request: Identifica
     if request.estimator not in (AUTO, BY_LEAST_SQUARES):
         raise InputError(f"`estimator`: found {request.estimator!r}, expected 'ls' for records that go one way each")
     fit = identify(joined(records, axis.units.rotary), axis, replace(request, estimator=BY_LEAST_SQUARES))
-    return replace(fit, warnings=(*fit.warnings, TOGETHER))
+    together = warning("fitted-together", "the records go one way each, and are fitted together")
+    return replace(fit, warnings=(*fit.warnings, together))
 
 
 def _identified(records: Sequence[Record], axis: Axis, request: IdentificationRequest) -> list[Identification]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from emps_design.axis import Axis, record_toml
 from emps_design.errors import RecordError
+from emps_design.messages import Message, warning
 from emps_design.records import Record, read_record
 from emps_design.records.columns import NAMES, meanings, plain_title, title_unit, unit_of, words
 from emps_design.records.layout import KEYS, MAPPED, NAMED, RECOGNISED, Assignment, Column, ColumnMap, Layout
@@ -67,14 +68,14 @@ class Account(Viewed):
         return step_of_record(self.record)
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[Message, ...]:
         """Warnings of the reader, and of an encoder step that differs from the axis file."""
         step, known = self.encoder_step, self.axis.sampling.encoder_resolution
         if step is None or not known or 1.0 / ALIKE < step / known < ALIKE:
             return self.record.warnings
         unit, factor = self.axis.units.display(known, "m")
         text = f"q: moves in steps of {factor * step:.4g} {unit}, the axis file says {factor * known:.4g} {unit}"
-        return (*self.record.warnings, text)
+        return (*self.record.warnings, warning("other-encoder-step", text, column="q", step=step, known=known))
 
     @property
     def rows(self) -> list[tuple[str, ...]]:

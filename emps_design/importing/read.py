@@ -26,6 +26,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.importing.sanity import check_against, check_motion, odd_increments, step_of
 from emps_design.laws import NONE, Law, law_of
+from emps_design.messages import wrong
 from emps_design.records import MAX_BYTES, MAX_BYTES_TO_CUT, Record, read_record, record_from_bytes
 from emps_design.records.clock import same_period
 from emps_design.records.layout import Layout
@@ -448,8 +449,8 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
         return record
     if blocks > 1:  # times of a part begin with it
         messages = [f"in the part from {record.t[start]:.6g} s on, {text}" for text in messages]
-    texts = tuple(f"{text}; {MEANS}" for text in messages)
-    return replace(record, warnings=(*record.warnings, *texts), contradictions=texts)
+    contradictions = tuple(wrong("contradiction", f"{text}; {MEANS}") for text in messages)
+    return replace(record, warnings=(*record.warnings, *contradictions), contradictions=contradictions)
 
 
 def import_record(

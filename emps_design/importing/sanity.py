@@ -24,6 +24,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.importing.account import encoder_step
+from emps_design.messages import Message, warning
 from emps_design.records import Record
 from emps_design.records.layout import NAMED, Doubt
 
@@ -53,7 +54,7 @@ NAMES = {
 }
 
 
-Doubts = Iterator[tuple[Doubt | None, str]]  # the doubt, None for a mere note, and its text
+Doubts = Iterator[tuple[Doubt, str] | Message]  # doubts with their texts, and mere remarks
 
 BESIDE = 4  # increments on either side of a median
 WIDE = 16  # samples on either side of a mean increment
@@ -95,10 +96,14 @@ def check_against(axis: Axis, record: Record, source: str) -> Record:
         return record
     notes = []
     for check in (_same_unit, _rough, _exchanged, _clock, _limit, _force):
-        for doubt, text in check(axis, record):
-            if doubt is not None and doubt not in axis.record.accept:
+        for found in check(axis, record):
+            if isinstance(found, Message):
+                notes.append(found)
+                continue
+            doubt, text = found
+            if doubt not in axis.record.accept:
                 raise RecordError(f'{source}: {text}; or if it is right: accept = ["{doubt}"] in [record]')
-            notes.append(text if doubt is None else f"{text} (accepted as [record] says)")
+            notes.append(warning("accepted-doubt", f"{text} (accepted as [record] says)", doubt=doubt))
     return replace(record, warnings=(*record.warnings, *notes))
 
 
@@ -111,7 +116,7 @@ def _clock(axis: Axis, record: Record) -> Doubts:
     if abs(ratio) > 30 and _confusion(ratio):
         yield "sampling-period", f"column t: {period}, expected {expected}; {_confusion(ratio)}?"
     else:
-        yield None, f"t: {period}, not {expected}"
+        yield warning("other-period", f"t: {period}, not {expected}", column="t", period=record.period)
 
 
 def _same_unit(axis: Axis, record: Record) -> Doubts:
@@ -182,7 +187,7 @@ def _limit(axis: Axis, record: Record) -> Doubts:
     if largest > FAR_BEYOND_LIMIT * limit:
         yield "command-limit", f"column u: {comparison}; correct unit or scale of command in [record]"
     elif largest > BEYOND_LIMIT * limit:
-        yield None, f"u: {comparison}"
+        yield warning("beyond-limit", f"u: {comparison}", column="u", largest=largest, limit=limit)
 
 
 def _force(axis: Axis, record: Record) -> Doubts:
@@ -222,7 +227,7 @@ def _force(axis: Axis, record: Record) -> Doubts:
         )
     known = f" ({_confusion(ratio)}?)" if _confusion(ratio) else ""
     if not 1.0 / ODD_FORCE < ratio < ODD_FORCE:
-        yield None, f"u and q: {words}{known}; check their units"
+        yield warning("odd-force", f"u and q: {words}{known}; check their units", ratio=ratio)
 
 
 def _motion(record: Record, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -26,6 +26,7 @@ from emps_design.identification.observation import direct_validation
 from emps_design.identification.result import Identification
 from emps_design.identification.several import SeveralIdentifications, identify_several
 from emps_design.machines import machine
+from emps_design.messages import warning
 from emps_design.paper.written import BREAK_AWAY, RANGES, TABLES
 from emps_design.progress import Progress
 from emps_design.quantities import Quantity
@@ -424,8 +425,11 @@ class SectionThree(Viewed):
             "break_away": list(self.bench.break_away),
             "printed": PRINTED,
             "warnings": [
-                "the paper's records are not public: a machine with its Table I, other numbers chosen so that its "
-                "errors come out alike"
+                warning(
+                    "records-not-public",
+                    "the paper's records are not public: a machine with its Table I, other numbers chosen so that its "
+                    "errors come out alike",
+                )
             ],
         }
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.messages import Message, warning
 from emps_design.records.clock import GAP, Resampled, between_samples, held, no_gap, on_one_clock, steps_of
 from emps_design.records.columns import OPTIONAL
 from emps_design.records.layout import KEYS, LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
@@ -152,16 +153,18 @@ def check_columns(
     # One block for all signals, so that the memory of the columns can be returned to the system.
     signals = iter(np.empty((len(assigned), n)))
     named: dict[str, np.ndarray] = {}
-    notes: list[str] = []
+    notes: list[Message] = []
     for assignment in assigned:
         with np.errstate(over="ignore"):  # an overflow is infinite, and refused later
             named[assignment.name] = np.multiply(
                 _vector(columns.pop(assignment.title), assignment, n, source), assignment.factor, out=next(signals)
             )
         if assignment.how == NAMED and assignment.factor != 1.0:
-            notes.append(f"{assignment.name}: converted from {assignment.unit} to {layout.unit(assignment.name)}")
+            text = f"{assignment.name}: converted from {assignment.unit} to {layout.unit(assignment.name)}"
+            notes.append(warning("converted-column", text, column=assignment.name, factor=assignment.factor))
         elif assignment.how == RECOGNISED:
-            notes.append(f"{assignment.name}: taken from column {assignment.title!r} [{assignment.unit}]")
+            text = f"{assignment.name}: taken from column {assignment.title!r} [{assignment.unit}]"
+            notes.append(warning("recognised-column", text, column=assignment.name))
     part = slice(0, n) if layout.window is None else _part(named["t"], layout.window, source)
     for column, values in named.items():
         _finite(values[part], column, layout.unit(column), source, first_row + part.start)
@@ -192,7 +195,7 @@ def check_columns(
         n = named["t"].size
         _fits(n, source, LONGEST)
     elif (count := len(stretches(named.get("bridged", named["t"]) <= 0.0))) > 1:
-        notes.append(f"t: {count} pieces; what lies between takes no part")
+        notes.append(warning("pieces", f"t: {count} pieces; what lies between takes no part", count=count))
     period = period or clock_period
     recorded, stood_in = _stand_ins(named, period, layout)
     notes += stood_in
@@ -220,15 +223,16 @@ def check_columns(
     }
 
 
-def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> tuple[bool, list[str]]:
+def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> tuple[bool, list[Message]]:
     """Add substitutes for a missing position or reference to ``named``; return if the reference is recorded, and notes.
 
     Where no controller needs a reference, a constant one counts as missing.
     """
-    notes, why = [], "not recorded"
+    notes, why = list[Message](), "not recorded"
     if "q" not in named:
         named["q"] = _integral(named["velocity"], period)
-        notes.append("q: not recorded; the integral of velocity from 0 stands for it")
+        text = "q: not recorded; the integral of velocity from 0 stands for it"
+        notes.append(warning("position-from-velocity", text, column="q"))
     if "q_ref" in named and not layout.reference_needed and np.ptp(named["q_ref"]) == 0.0:
         why = f"constant at {named.pop('q_ref')[0]:g} {layout.unit('q')}, no reference of this motion"
     if "q_ref" in named:
@@ -237,12 +241,10 @@ def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> t
         steps = named["velocity_reference"] * period
         steps[0] = named["q"][0]
         named["q_ref"] = np.cumsum(steps)
-        return False, [
-            *notes,
-            f"q_ref: {why}; the integral of velocity_reference from the first position stands for it",
-        ]
+        text = f"q_ref: {why}; the integral of velocity_reference from the first position stands for it"
+        return False, [*notes, warning("reference-from-velocity", text, column="q_ref")]
     named["q_ref"] = named["q"].copy()
-    return False, [*notes, f"q_ref: {why}; q itself stands for it"]
+    return False, [*notes, warning("no-reference", f"q_ref: {why}; q itself stands for it", column="q_ref")]
 
 
 def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
@@ -282,7 +284,7 @@ def _rows_without_gaps(named: Mapping[str, np.ndarray], part: slice) -> slice:
 
 def _shift(
     named: Mapping[str, np.ndarray], late: Mapping[str, float], part: slice, source: str, first_row: int
-) -> tuple[slice, list[str]]:
+) -> tuple[slice, list[Message]]:
     """Advance the ``late`` signals (name to delay [s]) within ``part``; return the samples that have them all, notes.
 
     Values are interpolated from all rows that join the part without a gap, never extrapolated. Raises
@@ -308,15 +310,15 @@ def _shift(
     part = slice(part.start + lost[0], part.stop - lost[1])
     for name, delay in late.items():  # in place, so that no long signal is in memory twice
         named[name][part] = between_samples(name, known, named[name][whole], t[part] + delay)
-    notes = [
-        f"{name}: read {1e3 * abs(delay):g} ms {'earlier' if delay > 0 else 'later'} than it was recorded"
-        for name, delay in late.items()
-    ]
-    notes += [
-        f"{' and '.join(late)}: not recorded for the {end} {count} sample{'' if count == 1 else 's'}, left out"
-        for end, count in zip(("first", "last"), lost, strict=True)
-        if count
-    ]
+    notes = []
+    for name, delay in late.items():
+        text = f"{name}: read {1e3 * abs(delay):g} ms {'earlier' if delay > 0 else 'later'} than it was recorded"
+        notes.append(warning("delayed-column", text, column=name, delay=delay))
+    for end, count in zip(("first", "last"), lost, strict=True):
+        if count:
+            many = f"the {end} {count} sample{'' if count == 1 else 's'}"
+            text = f"{' and '.join(late)}: not recorded for {many}, left out"
+            notes.append(warning("ends-left-out", text, column=" and ".join(late), count=count))
     return part, notes
 
 
@@ -422,24 +424,27 @@ def _plausible(
             )
 
 
-def _notes(named: Mapping[str, np.ndarray], layout: Layout, recorded: bool) -> list[str]:
+def _notes(named: Mapping[str, np.ndarray], layout: Layout, recorded: bool) -> list[Message]:
     """Notes on signals that are odd but may be intended."""
     notes = [
-        f"{column}: constant at {named[column][0]:g} {layout.unit(column)}"
+        warning("constant-column", f"{column}: constant at {named[column][0]:g} {layout.unit(column)}", column=column)
         for column in (("q_ref", "f_ext") if recorded else ("f_ext",))
         if column in named and np.ptp(named[column]) == 0.0
     ]
     if np.ptp(named["q"]) < SMALLEST_STROKE:
         unit, long = layout.unit("q"), "metres" if not layout.units.rotary else "radians"
-        notes.append(f"q: a stroke of only {np.ptp(named['q']):.3g} {unit}; check that it is in {long}")
+        text = f"q: a stroke of only {np.ptp(named['q']):.3g} {unit}; check that it is in {long}"
+        notes.append(warning("short-stroke", text, column="q"))
     u = np.abs(named["u"])
     largest = float(np.max(u))
     if largest < SMALLEST_VOLTAGE and layout.unit("u") == "V":
-        notes.append(f"u: at most {largest:.3g} V; check that it is in volts")
+        text = f"u: at most {largest:.3g} V; check that it is in volts"
+        notes.append(warning("small-command", text, column="u", largest=largest))
     saturated = int(np.count_nonzero(u >= largest * (1 - 1e-6)))
     cut = np.mean(np.diff(named["u"]) == 0.0) < IN_STEPS or (layout.limit and largest >= AT_LIMIT * layout.limit)
     if cut and saturated > max(NOTED_SATURATION * u.size, 5):
         unit = layout.unit("u")
         extreme = f"{largest:.4g} {unit}".rstrip()
-        notes.append(f"u: {100 * saturated / u.size:.3g} % of the samples sit at the extreme of {extreme}: saturated")
+        text = f"u: {100 * saturated / u.size:.3g} % of the samples sit at the extreme of {extreme}: saturated"
+        notes.append(warning("saturated-command", text, column="u", share=saturated / u.size, largest=largest))
     return notes

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.errors import RecordError
+from emps_design.messages import Message, warning
 
 LARGEST_JITTER = 0.2  # of a period, up to which time is quantised and sampling regular
 NOTED_JITTER = 0.01
@@ -24,7 +25,7 @@ class Resampled:
 
     signals: dict[str, np.ndarray]
     period: float
-    notes: tuple[str, ...]
+    notes: tuple[Message, ...]
     measured: dict[str, np.ndarray]
 
 
@@ -54,7 +55,7 @@ def steps_of(t: np.ndarray, source: str, first_row: int) -> tuple[float, np.ndar
 
 def on_one_clock(
     signals: dict[str, np.ndarray], wanted: float | None, source: str, first_row: int
-) -> tuple[float, tuple[str, ...], Resampled | None]:
+) -> tuple[float, tuple[Message, ...], Resampled | None]:
     """The period [s] of ``signals`` by name, notes, and the signals resampled where their time is irregular.
 
     Irregular time raises :class:`RecordError` without a ``wanted`` period. In the gaps of a record the signals are
@@ -67,11 +68,14 @@ def on_one_clock(
     quantised = np.max(away) <= (LARGEST_JITTER * typical) ** 2
     on_the_clock = jitter <= NOTED_JITTER or wanted is None or same_period(period, wanted)
     if quantised and on_the_clock:
-        notes = (f"t: sampling jitter of {100 * jitter:.2g} % rms of the period",) if jitter > NOTED_JITTER else ()
-        return period, notes, None
+        if not jitter > NOTED_JITTER:
+            return period, (), None
+        text = f"t: sampling jitter of {100 * jitter:.2g} % rms of the period"
+        return period, (warning("sampling-jitter", text, column="t", jitter=jitter),), None
     digit = _rounded_to(t, period)
     if digit:
-        return period, (f"t: stamps rounded to {digit:g} s, taken as a sample every {period:.6g} s",), None
+        text = f"t: stamps rounded to {digit:g} s, taken as a sample every {period:.6g} s"
+        return period, (warning("rounded-time", text, column="t", digit=digit, period=period),), None
     i = int(np.argmax(away > (LARGEST_JITTER * typical) ** 2))
     if wanted is None:
         raise RecordError(
@@ -159,10 +163,11 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, br
     )
     missing = int(np.count_nonzero(step > MISSING * typical))
     bridged = f"; {missing} of them bridge missing samples" if missing else ""
-    notes = [
+    text = (
         f"t: irregular, steps of {1e3 * step.min():.4g} to {1e3 * step.max():.4g} ms (median {1e3 * typical:.4g})"
         f"{bridged}; put on {1e3 * period:.4g} ms by linear interpolation, off by at most (rms) {costs}"
-    ]
+    )
+    notes = [warning("irregular-time", text, column="t", period=period)]
     if bridges.size:
         inside = np.zeros(grid.size)
         for i in bridges:  # from the last sample before a gap to the first after it
@@ -170,11 +175,12 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, br
         new["bridged"] = np.maximum(inside, new.get("bridged", inside))
         i = int(bridges[np.argmax(step[bridges])])
         lost = f"{float(step[bridges].sum()):.3g} s in all"
-        notes.append(
+        text = (
             f"t: nothing from {t[i]:.6g} s to {t[i + 1]:.6g} s"
             f"{f' and in {bridges.size - 1} more gaps, {lost}' if bridges.size > 1 else ''}; taken as "
             f"{bridges.size + 1} pieces, and what lies between takes no part"
         )
+        notes.append(warning("time-gap", text, column="t", count=int(bridges.size)))
     return Resampled(new, period, tuple(notes), {name: values.copy() for name, values in signals.items()})
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from emps_design.errors import InputError, RecordError
 from emps_design.files import write_aside
+from emps_design.messages import Message, warning
 from emps_design.records.check import PLAIN, check_columns
 from emps_design.records.clock import same_period
 from emps_design.records.columns import OPTIONAL, RECORD
@@ -50,8 +51,8 @@ class Record(Viewed):
     name: str = "record"
     sha256: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    warnings: tuple[str, ...] = ()
-    contradictions: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
+    contradictions: tuple[Message, ...] = ()
     velocity_reference: np.ndarray | None = None
     velocity: np.ndarray | None = None
     supply: np.ndarray | None = None
@@ -122,10 +123,11 @@ class Record(Viewed):
         return stretches(~self.in_gap)
 
     @property
-    def gaps_in_words(self) -> tuple[str, ...]:
-        """A sentence on the pieces of a record with gaps; none without gaps."""
+    def gaps_in_words(self) -> tuple[Message, ...]:
+        """A message on the pieces of a record with gaps; none without gaps."""
         count = len(self.pieces)
-        return (f"{self.name}: taken as {count} pieces, what lies between takes no part",) if count > 1 else ()
+        text = f"{self.name}: taken as {count} pieces, what lies between takes no part"
+        return (warning("taken-as-pieces", text, count=count),) if count > 1 else ()
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -254,8 +256,8 @@ def joined(records: Sequence[Record], rotary: bool = False) -> Record:
         name=" + ".join(record.name for record in records),
         sha256="",
         extra={key: value for key, value in first.extra.items() if np.size(value) == 1},
-        warnings=tuple(f"{record.name}: {text}" for record in records for text in record.warnings),
-        contradictions=tuple(f"{record.name}: {text}" for record in records for text in record.contradictions),
+        warnings=tuple(message.of(record.name) for record in records for message in record.warnings),
+        contradictions=tuple(message.of(record.name) for record in records for message in record.contradictions),
         q_ref_recorded=all(record.q_ref_recorded for record in records),
         measured=None,
         **{**whole, **absent},  # type: ignore[arg-type]

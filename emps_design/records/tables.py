@@ -24,6 +24,7 @@ from typing import BinaryIO, TextIO
 import numpy as np
 
 from emps_design.errors import RecordError, one_line
+from emps_design.messages import Message, warning
 from emps_design.records.check import CUT
 from emps_design.records.columns import column_titles, plain_title
 from emps_design.records.layout import LONGEST
@@ -230,7 +231,7 @@ class Scope:
     columns: dict[str, np.ndarray]
     titles: tuple[str, ...]
     first_row: int
-    notes: tuple[str, ...]
+    notes: tuple[Message, ...]
 
 
 def is_scope(lines: Sequence[str]) -> bool:
@@ -336,7 +337,7 @@ def _on_one_clock(
     titles: tuple[str, ...],
     first: int,
     source: str,
-    notes: tuple[str, ...],
+    notes: tuple[Message, ...],
 ) -> Scope:
     """Every channel at the times of the fastest, over the time that all have in common."""
     filled: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -367,18 +368,23 @@ def _on_one_clock(
             columns[title] = values[inside]
             continue
         columns[title] = np.interp(t, own, values)
-        messages.append(
+        text = (
             f"{title}: sampled every {steps[title]:g} ms, interpolated at the times of {fastest}"
             f" (every {steps[fastest]:g} ms)"
         )
+        messages.append(warning("slow-channel", text, column=title))
     return Scope(columns, titles, first, tuple(messages))
 
 
-def _scaled(header: dict[str, list[str]], place_of: dict[str, int], chosen: list[str]) -> tuple[str, ...]:
+def _scaled(header: dict[str, list[str]], place_of: dict[str, int], chosen: list[str]) -> tuple[Message, ...]:
     """A note for each channel with a scale of the Scope, which may or may not be applied in the export."""
     factors = header.get(SCALE, [])
     return tuple(
-        f"{title}: the Scope's unit has the scale {factors[place_of[title]]}; values are taken as they stand"
+        warning(
+            "scope-scale",
+            f"{title}: the Scope's unit has the scale {factors[place_of[title]]}; values are taken as they stand",
+            column=title,
+        )
         for title in chosen
         if place_of[title] < len(factors) and number(factors[place_of[title]]) not in (1.0, None)
     )
@@ -391,7 +397,7 @@ class TextTable:
     columns: dict[str, np.ndarray]
     titles: tuple[str, ...]
     first_row: int = 0
-    notes: tuple[str, ...] = ()
+    notes: tuple[Message, ...] = ()
 
 
 def read_table(file: BinaryIO, source: str, known: Choice, most: int = LONGEST) -> TextTable:

@@ -13,6 +13,7 @@ from emps_design.advice import Advice, advise
 from emps_design.axis import Axis
 from emps_design.laws import NONE, get_law
 from emps_design.machines import machine_names
+from emps_design.messages import Message
 from emps_design.report.design import DesignResults, design_page, design_results
 from emps_design.report.page import Page, Section, quantity
 from emps_design.report.request import MODELS, ReportRequest
@@ -35,7 +36,7 @@ class Report:
     results: DesignResults
     impedance: ImpedanceAssessment | None = None
     identifications: tuple[Identification, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
     loops: tuple[NestedLoop, ...] = ()
 
     @cached_property

@@ -195,8 +195,8 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
                 f"{angle(continuous)} that the continuous loop has there."
             )
         )
-    warnings = [w for w in velocity.warnings if not w.startswith("the sampled loop is unstable")]
-    warnings = [*results.cautions, *results.verdict.warnings, *warnings]
+    own = [message for message in velocity.warnings if message.code != "unstable"]
+    warnings = [*results.cautions, *results.verdict.warnings, *own]
     if warnings:
         blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
     return tuple(blocks)

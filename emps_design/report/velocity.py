@@ -347,7 +347,8 @@ def force_section(force: ForceLoopDesign) -> Section:
         return shown if force.stable else "unstable"
 
     reading = str(force.paper_reading["text"])
-    warnings = [warning for warning in force.warnings if "unstable" not in warning]
+    unstable = ("force-loop-unstable", "inner-loop-unstable", "other-machine-unstable", "sampled-limit-unbounded")
+    warnings = [message for message in force.warnings if message.code not in unstable]
     rows = [
         [Html(symbol("k_e1")), quantity(force.k_e1, "(m/s)/N", 4, units), f"velocity per {units.word('newton')}"],
         [Html(symbol("k_c")), quantity(force.k_c, "N/(m/s)", 4, units), "what the hand feels at low frequency, 1/k_e1"],

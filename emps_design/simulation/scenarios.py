@@ -18,6 +18,7 @@ from emps_design.axis import Axis
 from emps_design.control.nested_loops import loop_in_words, nested_loops, worst_loop
 from emps_design.errors import AxisError, InputError, SimulationError, UnstableError
 from emps_design.laws import leaves
+from emps_design.messages import Message, note, warning
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.records.check import LONGEST
@@ -212,7 +213,8 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     closed = axis.controller.kind != "none"
     push = record.f_ext
     if push is not None:
-        warnings.append(f"the record's f_ext acts on the simulated {axis.units.word('carriage')}")
+        text = f"the record's f_ext acts on the simulated {axis.units.word('carriage')}"
+        warnings.append(note("recorded-force-acts", text))
     axis = axis.supplied_by(record)
     if closed:
         how = {"period": record.period, "quantise": quantise}
@@ -220,7 +222,8 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     else:
         run = _open_loop(axis, record, quantise)
         voltage = axis.units.word("voltage")
-        warnings.append(f"axis without a controller: simulated in open loop from the recorded {voltage}")
+        text = f"axis without a controller: simulated in open loop from the recorded {voltage}"
+        warnings.append(note("open-loop", text))
     pairs = {
         "position": (record.q, run.q),
         "velocity": (np.gradient(record.q, record.period), np.gradient(run.q, record.period)),
@@ -354,16 +357,17 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
         runs.append(run)
     step = rate * axis.sampling.period
     if any(limit is not None and abs(limit) <= step for limit in limits):
-        alone = (
+        text = (
             f"the {units.word('carriage')} leaves without a push: the {units.word('force')} on it at rest exceeds its "
             "friction"
         )
-        return Breakaway(axis, rate, peak, None, None, runs[0], (alone,))
+        return Breakaway(axis, rate, peak, None, None, runs[0], (warning("leaves-without-push", text),))
     if any(limit is not None and step > COARSE * abs(limit) for limit in limits):
-        warnings.append(
+        text = (
             f"the push rises by {units.quantity(step, 'N', '.3g')} from sample to sample, the {units.word('force')} is "
             "as coarse; lower `rate`"
         )
+        warnings.append(warning("coarse-push", text, step=step))
     return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
 
 
@@ -379,15 +383,16 @@ def _break_away_sample(run: Run, moved: np.ndarray) -> int | None:
     return int(away[0]) if away.size else None
 
 
-def _no_break_away(most: float, peak: float, units: Units) -> str:
-    """Return a warning that the carriage did not break away up to ``peak`` [N] and moved at ``most`` [m]."""
+def _no_break_away(most: float, peak: float, units: Units) -> Message:
+    """Return a message that the carriage did not break away up to ``peak`` [N] and moved at ``most`` [m]."""
     carriage, until = units.word("carriage"), units.quantity(peak, "N", "g")
     if most <= 0.0:
-        return f"the {carriage} held to {until}; raise `peak`"
-    return (
+        return warning("held", f"the {carriage} held to {until}; raise `peak`", peak=peak)
+    text = (
         f"the {carriage} moved {units.quantity(most, 'mm', '.3g')} until {until}, and leaves with "
         f"{units.quantity(MOVED, 'mm', '.2g')}; raise `peak` or lower `rate`"
     )
+    return warning("hardly-moved", text, peak=peak, most=most)
 
 
 HELD = "is unstable; only limits hold it"
@@ -442,10 +447,8 @@ def follow(
     how = {"q_ref": q_ref, "disturbance": f_ext, "voltage_noise": excitation}
     run = replace(_closed_loop(axis, lambda axis: how), excitation=excitation)
     clipped = float(np.mean(np.abs(run.u) >= axis.drive.command_limit))
-    warnings = (
-        (f"the {axis.units.word('voltage')} is at its limit {100 * clipped:.1f} % of the time",) if clipped > 0 else ()
-    )
-    return Followed(axis, run, warnings)
+    text = f"the {axis.units.word('voltage')} is at its limit {100 * clipped:.1f} % of the time"
+    return Followed(axis, run, (warning("limit-in-run", text, share=clipped),) if clipped > 0 else ())
 
 
 def _closed_loop(axis: Axis, driven: Callable[[Axis], dict[str, Any]]) -> Run:

@@ -361,8 +361,7 @@ class CompensationView:
         self.compensation, self.download.disabled = compensation, False
         units = compensation.axis.units
         ratio = compensation.without / compensation.achieved if compensation.achieved > 0.0 else float("inf")
-        shown_above = tuple(f"{name} is not compensated" for name in compensation.not_compensated)
-        more = [line for line in compensation.warnings if not line.startswith(shown_above)]
+        more: list[str] = [message for message in compensation.warnings if message.code != "not-compensated"]
         more += [f"{ON_ERROR.capitalize()}."] * bool(compensation.feedforward.terms)
         advice = advise("compensate", compensation.to_dict(), units=units)
         text = (

@@ -1,4 +1,4 @@
-"""The library's messages name arguments; the command line alone knows of flags, in one table."""
+"""A message has a code of its own and its axis's words; flags are known to the command line alone, in one table."""
 
 import ast
 import re
@@ -13,6 +13,9 @@ from emps_design.cli.app import COMMANDS, _application
 from emps_design.cli.command import module_of, request_of
 from emps_design.cli.output import FLAGS, FLAGS_OF, Terminal
 from emps_design.request import options_of
+from tests.axes import KINDS, axis_of
+from tests.messages import messages
+from tests.rewriting import rewritten
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGE = REPOSITORY / "emps_design"
@@ -80,3 +83,46 @@ def test_a_flag_in_a_message_is_seen():
     found = texts('"""Docstring --here."""\nraise InputError(f"{name}: too slow; give --cutoff")')
     assert [text for text in found if FLAG.search(COMMAND.sub("", text))] == [": too slow; give --cutoff"]
     assert not FLAG.search(COMMAND.sub("", "emps-design simulate model.toml --reference next.csv"))
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Every place of the package that makes a message."""
+    return messages()
+
+
+def test_a_code_is_made_in_one_place(made):
+    codes = [message.code for message in made]
+    assert len(codes) > 100
+    assert sorted(codes) == sorted(set(codes))
+    assert [code for code in codes if not re.fullmatch(r"[a-z]+(-[a-z]+)*", code)] == []
+
+
+def test_messages_are_made_by_severity_alone():
+    """No module makes a message in another way, such as with a severity of its own."""
+    makers = [named(path) for path in sorted(PACKAGE.rglob("*.py")) if re.search(r"\bMessage\(", path.read_text())]
+    assert makers == ["emps_design/messages.py"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_message_has_the_words_or_units_of_another_axis(kind, made):
+    """What stands between the values of a message; units and words of the axis are values too."""
+    units = axis_of(kind).units
+    other = []
+    for message in made:
+        texts = [re.sub(r"{\w*}", "1", text) for text in message.texts]
+        other += [message.code for text in texts if rewritten(units, text) != text]
+    assert other == ([] if units.command_unit == "V" else ["small-command"])  # which is about volts, and for them alone
+
+
+def test_every_message_is_made_in_a_test(made):
+    """A test names its code, or three words of its text in a row; the text of an error is tested with the error."""
+    tests = [path for path in (REPOSITORY / "tests").rglob("*.py") if path != Path(__file__)]
+    said = " ".join(" ".join(path.read_text(encoding="utf-8").split()) for path in tests)
+
+    def in_a_test(message):
+        parts = [part.split() for text in message.texts for part in text.split("{}")]
+        words = [" ".join(part[i : i + 3]) for part in parts for i in range(len(part) - 2)]
+        return f'"{message.code}"' in said or any(three in said for three in words)
+
+    assert [message.code for message in made if message.texts and not in_a_test(message)] == []

@@ -1,15 +1,17 @@
 """What Python says of an axis has that axis's words and units: no sentence needs a translation afterwards."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from emps_design import (
+    Advice,
     Axis,
     EmpsError,
     Record,
@@ -26,7 +28,15 @@ from emps_design import (
     synthetic_record,
 )
 from emps_design.comanipulation.assessment import assess_impedance
+from emps_design.commands import Reply, force
+from emps_design.control.impedance.law import equivalent_loop
+from emps_design.control.linear_plant import Member
+from emps_design.control.margins import Margins
+from emps_design.control.nested_loops import NestedLoop
 from emps_design.importing import layout_of
+from emps_design.importing.read import with_contradictions
+from emps_design.messages import Message
+from emps_design.simulation.scenarios import breakaway
 from tests.axes import KINDS, machine_of
 from tests.rewriting import rewritten
 
@@ -80,7 +90,9 @@ def said(result: Any) -> Iterator[str]:
         if hasattr(result, make):
             made = getattr(result, make)()
             yield from [made] if isinstance(made, str) else sentences(made)
-    yield from getattr(result, "warnings", ())
+    warnings = [] if isinstance(result, Advice) else list(getattr(result, "warnings", ()))
+    assert [text for text in warnings if not isinstance(text, Message)] == []
+    yield from warnings
 
 
 def untranslated(axis: Axis, texts: Iterable[str]) -> list[str]:
@@ -128,6 +140,37 @@ RESULTS = {
     "replayed": lambda b: replay(b.axis, b.record),
     "advice on a loop": lambda b: advised("gains", b.loop, b),
     "advice on a record": lambda b: advised("identify", identify(b.record, b.axis), b),
+}
+
+
+def _unstable_elsewhere(bench: Bench) -> Any:
+    """A force loop whose worst loop is unstable with another inertia."""
+    force = design_force_loop(bench.loop, 1e-3, hand=20.0)
+    worst = NestedLoop("velocity loop", "plant input", Margins(stable=False), {"inertia": 3.0, "velocity": 0.1})
+    vars(force)["loops"] = (worst,)
+    return force
+
+
+def _unsettled(bench: Bench) -> Any:
+    """The linear plant of an effect that finds no equilibrium."""
+    effect = effect_of(bench).effects[0]
+    member = Member(effect.effect, effect.effect.values(effect.parameters), bench.axis.mechanics.array())
+    member.settled = False
+    return SimpleNamespace(warnings=member.left_out(0.1, 0.0, bench.axis.units))
+
+
+MESSAGES = {  # code -> a result with that message
+    "recorded-force-acts": lambda b: replay(b.axis, _pushed(b)),
+    "no-operator": lambda b: design_force_loop(b.loop, 1e-3),
+    "continuous-limit-unbounded": lambda b: design_force_loop(b.loop, 1e-3, hand=20.0),
+    "resonance-in-band": lambda b: equivalent_loop(b.axis, 1e4 * b.axis.mechanics.mass, 1e-3, mismatch=0.5),
+    "other-machine-unstable": lambda b: _unstable_elsewhere(b),
+    "no-steady-state": lambda b: _unsettled(b),
+    "coarse-push": lambda b: breakaway(b.axis, rate=0.3 * b.axis.mechanics.coulomb / b.axis.sampling.period),
+    "held": lambda b: breakaway(b.axis, peak=0.01 * b.axis.mechanics.coulomb, rate=20.0),
+    "no-kalman-observer": lambda b: observe(b.record, b.axis.replace(sampling={"encoder_resolution": 0.0})),
+    "contradiction": lambda b: with_contradictions(b.axis, replace(b.record, u=2.0 * b.record.u)),
+    "loop-of-the-paper": lambda b: force.answer(force.ForceRequest(axis=effect_of(b), k_e1=1e-3)),
 }
 REFUSED = {
     "crossover of 0": lambda b: design_velocity_loop(b.axis, 0.0),
@@ -188,6 +231,14 @@ def cases(table: Mapping[str, Any]) -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("bench", "name"), cases(RESULTS), indirect=["bench"])
 def test_results(bench, name):
     assert untranslated(bench.axis, said(RESULTS[name](bench))) == []
+
+
+@pytest.mark.parametrize(("bench", "code"), cases(MESSAGES), indirect=["bench"])
+def test_messages(bench, code):
+    result = MESSAGES[code](bench)
+    messages = result.document["warnings"] if isinstance(result, Reply) else result.warnings
+    assert code in [message.code for message in messages]
+    assert untranslated(bench.axis, messages) == []
 
 
 @pytest.mark.parametrize(("bench", "name"), cases(REFUSED), indirect=["bench"])

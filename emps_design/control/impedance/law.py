@@ -42,6 +42,7 @@ from emps_design.laws.library.impedance import (
     law_with,
     observed_force,
 )
+from emps_design.messages import Message, grave, warning
 
 DERIVED, PRINTED = 1.0, 2.0  # factor in front of (Mh/M_a - 1) G_tau_i I_m in (30)
 SINGULAR = 1e-9  # 1 + kappa (Mh/M_a - 1), below which the law has no solution with an ideal current loop
@@ -261,7 +262,7 @@ class EquivalentLoop:
     phase_margin_deg: float
     criterion: str
     largest_pole: float | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     @property
     def stable(self) -> bool:
@@ -356,8 +357,8 @@ def equivalent_loop(
     return _loop(axis, mass, damping, k_e1, w0, criterion, mismatch)
 
 
-def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tuple[str, ...]:
-    """Return warnings if an impedance is within the error of the model: necessary are M_a > e M and B > e F_v.
+def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tuple[Message, ...]:
+    """Return messages if an impedance is within the error of the model: necessary are M_a > e M and B > e F_v.
 
     >>> from emps_design.machines import machine
     >>> safety_words(machine("emps2018"), 50.0, 100.0, 0.02)
@@ -366,20 +367,22 @@ def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tu
     'not safe: B = 1 N/(m/s) is within the 2 % error of F_v'
     """
     plant, shown = FrictionModel.of(axis), axis.units.quantity
-    words = []
+    messages = []
     if mass <= mismatch * plant.mass:
-        words.append(
+        text = (
             f"not safe: M_a = {shown(mass, 'kg', '.3g')} is within the {100 * mismatch:g} % error of M, "
             f"{shown(mismatch * plant.mass, 'kg', '.3g')}; at the bad corner the apparent {axis.units.word('mass')} is "
             "negative"
         )
+        messages.append(warning("mass-within-error", text, mass=mass, mismatch=mismatch))
     if damping <= mismatch * max(plant.viscous):
-        words.append(
+        text = (
             f"not safe: B = {shown(damping, 'N/(m/s)', '.3g')} is within the {100 * mismatch:g} % error of F_v, "
             f"{shown(mismatch * max(plant.viscous), 'N/(m/s)', '.3g')}; at the bad corner the apparent damping is "
             "negative"
         )
-    return tuple(words)
+        messages.append(warning("damping-within-error", text, damping=damping, mismatch=mismatch))
+    return tuple(messages)
 
 
 def _loop(
@@ -391,27 +394,29 @@ def _loop(
     cosine = 2.0 / (x + math.sqrt(x * x + 4.0))
     phase, crossover = math.degrees(math.acos(cosine)), w0 * math.sqrt(cosine)
     plant = FrictionModel.of(axis)
-    words = list(safety_words(axis, mass, damping, mismatch))
+    messages = list(safety_words(axis, mass, damping, mismatch))
     gains: tuple[float | None, float | None]
     try:
         gains = velocity_gains(plant.mass, plant.viscous_positive, axis.drive.gain, crossover, phase)
     except SpecificationError as error:
         gains = None, None
-        words.append(f"no such loop: {error}")
+        messages.append(grave("no-such-loop", f"no such loop: {error}"))
     pole = None
     if gains[0] is not None and gains[1] is not None:
         sampled = sample_axis(axis)
         pole = close(sampled, velocity_law(sampled, gains[0], gains[1])).radius
         if pole > 1.0 + MARGINAL:
             at_input = gains[0] * axis.drive.gain / plant.mass
-            words.append(
+            text = (
                 f"not for this drive: its sampled velocity loop would be unstable, largest pole {pole:.4g}; "
                 f"give an input crossover below its {at_input:.4g} rad/s"
             )
+            messages.append(grave("not-for-this-drive", text, pole=pole))
     if w0 < BAND:
-        words.append(f"the cascade's own resonance, {w0:.3g} rad/s, lies inside the operator's {BAND:g} rad/s")
+        text = f"the cascade's own resonance, {w0:.3g} rad/s, lies inside the operator's {BAND:g} rad/s"
+        messages.append(warning("resonance-in-band", text, resonance=w0))
     return EquivalentLoop(
-        mass, damping, k_e1, gains[0], gains[1], w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(words)
+        mass, damping, k_e1, gains[0], gains[1], w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(messages)
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from emps_design.control.velocity.gains import STRUCTURES
 from emps_design.control.velocity.load_range import margins_over_range, margins_under_mismatch
 from emps_design.control.verdict import DesignVerdict, where_of
+from emps_design.messages import grave
 
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
@@ -159,7 +160,8 @@ def gains_document(design: VelocityLoopDesign, verdict: DesignVerdict | None = N
         study["stable_share"] = share = verdict.stable_share
         study["worst_loop"] = verdict.worst_corner.to_dict()
         if share < 1.0:
-            document["warnings"].append(f"unstable at {100 * (1 - share):.3g} % of the mismatch corners")
+            text = f"unstable at {100 * (1 - share):.3g} % of the mismatch corners"
+            document["warnings"].append(grave("unstable-at-corners", text, share=1 - share))
     return document
 
 

@@ -53,6 +53,7 @@ from emps_design.laws import LawKind
 from emps_design.laws.estimators import estimator_response, polynomials
 from emps_design.laws.library import cascade
 from emps_design.laws.library.cascade import Filter, filter_polynomials
+from emps_design.messages import Message, note
 from emps_design.view import View, Viewed
 
 if TYPE_CHECKING:
@@ -292,8 +293,8 @@ class VelocityLoopDesign(Viewed):
         return SampledVelocityLoop(plant, self.k_v1, self.t_v, self.structure)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings on the design, instability first."""
+    def warnings(self) -> tuple[Message, ...]:
+        """Messages on the design, instability first."""
 
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)
@@ -303,15 +304,17 @@ class VelocityLoopDesign(Viewed):
                 f"{key.removesuffix('_deg').replace('_', ' ')} {value:g} {'deg' if key.endswith('_deg') else 'rad/s'}"
                 for key, value in self.requested.items()
             )
-            warnings.append(
+            text = (
                 f"retuned: the sampled loop meets the request at the {self.retuned_at.replace('-', ' ')} ({request}); "
                 "crossover, phase margin and bandwidth of T_vo and T_vc are the continuous loop's with these gains"
             )
+            warnings.append(note("retuned", text))
         elif self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
-            warnings.append(
+            text = (
                 f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, "
                 f"the closed loop's -3 dB lies at {self.bandwidth:.4g} rad/s"
             )
+            warnings.append(note("two-bandwidths", text, crossover=self.crossover, bandwidth=self.bandwidth))
         warnings.append(ideal_loop_in_words(self.left_out, self.with_lags.velocity_error))
         return tuple(warnings)
 

@@ -33,6 +33,7 @@ from emps_design.laws.law import TWO_TAP, LawTable
 from emps_design.laws.library import cascade, ip_velocity
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import LinearLaw, linear_law
+from emps_design.messages import Message, grave, note
 
 if TYPE_CHECKING:
     import control
@@ -211,16 +212,15 @@ class SampledVelocityLoop:
         return 0.5 * (low + high)
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings: instability first, then what the linear loop leaves out and unbounded margins."""
-        warnings = (
-            []
-            if self.stable
-            else [f"the sampled loop is unstable: largest pole {abs(self.poles[0]):.4g}, outside the unit circle"]
-        )
+    def warnings(self) -> tuple[Message, ...]:
+        """Messages: instability first, then what the linear loop leaves out and unbounded margins."""
+        warnings = []
+        if not self.stable:
+            text = f"the sampled loop is unstable: largest pole {abs(self.poles[0]):.4g}, outside the unit circle"
+            warnings.append(grave("unstable", text, pole=abs(self.poles[0])))
         warnings += self.plant.linear.warnings
         if self.stable and self.margins.gain_margin is None:
-            warnings.append("the sampled loop's gain margin is unbounded")
+            warnings.append(note("gain-margin-unbounded", "the sampled loop's gain margin is unbounded"))
         return tuple(warnings)
 
     def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -30,13 +30,13 @@ from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_t
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import linear_law
+from emps_design.messages import Message, grave, note, warning
 from emps_design.quantities import check_magnitude
 from emps_design.units import Units
 
 ROOM = 1.0  # samples of delay margin
 PASSED = 0.5  # share of the frequency at which the sampled closed loop must be above -3 dB
 
-NO_FILTERS = "the closed forms know no filters: what they cost is in the sampled loop"
 
 SURE = 1e3  # least distance of a step of the stability test from its limit, in rounding errors
 
@@ -254,8 +254,8 @@ def infeasible(
     )
 
 
-def room_in_words(loop: SampledVelocityLoop) -> list[str]:
-    """Return a warning if a stable sampled ``loop`` has a delay margin below ``ROOM`` samples.
+def room_in_words(loop: SampledVelocityLoop) -> list[Message]:
+    """Return a message if a stable sampled ``loop`` has a delay margin below ``ROOM`` samples.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2018"))
@@ -265,40 +265,49 @@ def room_in_words(loop: SampledVelocityLoop) -> list[str]:
     margins = loop.margins
     if not loop.stable or margins.delay_margin_samples is None or margins.delay_margin_samples >= ROOM:
         return []
-    return [
+    text = (
         f"the sampled loop is barely stable: {margins.delay_margin_samples:.2g} samples more delay make it unstable "
         f"(phase margin {margins.phase_margin_deg:.3g} deg at the plant input)"
-    ]
+    )
+    return [grave("barely-stable", text, samples=margins.delay_margin_samples)]
 
 
-def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[str]:
-    """Return notes on what the structure and filters of ``loop`` mean for the design's numbers and for the drive."""
+def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[Message]:
+    """Return messages on what the structure and filters of ``loop`` mean for the design's numbers and for the drive."""
     notes = []
     if loop.plant.filters and by_closed_form:
-        notes.append(f"{NO_FILTERS}; `retune` meets the request there")
+        notes.append(_no_filters("; `retune` meets the request there"))
     if loop.structure.reference_filter:
-        notes.append(
+        text = (
             f"the axis file has no reference filter: set 1/(1 + t_v s), {1e3 * loop.t_v:.4g} ms, in the drive, or "
             'take form = "ip", which answers alike'
         )
+        notes.append(note("reference-filter", text, t_v=loop.t_v))
     return notes
 
 
-def ideal_loop_in_words(left_out: Sequence[str], with_lags: Margins) -> str:
-    """Return a note on what the closed forms leave out, with the margins of the continuous loop ``with_lags``.
+def _no_filters(more: str = "") -> Message:
+    """The message that filters are in the sampled loop alone, with ``more`` to do about it."""
+    return note("filters-left-out", f"the closed forms know no filters: what they cost is in the sampled loop{more}")
+
+
+def ideal_loop_in_words(left_out: Sequence[str], with_lags: Margins) -> Message:
+    """Return a message on what the closed forms leave out, with the margins of the continuous loop ``with_lags``.
 
     >>> ideal_loop_in_words((), Margins(stable=True))
     "the continuous loop's gain margin is unbounded: its phase never reaches -180 deg"
     """
     ideal = "the continuous loop's gain margin is unbounded: its phase never reaches -180 deg"
     if not left_out:
-        return ideal
-    has = f"it has {margins_in_words(with_lags)}" if with_lags.stable else "it is unstable"
-    return f"{ideal}; that is without {' and '.join(left_out)}; with every lag {has} at the velocity error"
+        return note("ideal-loop", ideal)
+    ideal = f"{ideal}; that is without {' and '.join(left_out)}; with every lag"
+    if not with_lags.stable:
+        return grave("unstable-with-lags", f"{ideal} it is unstable at the velocity error")
+    return note("loop-with-lags", f"{ideal} it has {margins_in_words(with_lags)} at the velocity error")
 
 
-def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[str]:
-    """Return notes on what the effects of ``axis`` change: (7) has mass and viscous friction, ``loop`` all effects.
+def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[Message]:
+    """Return messages on what the effects of ``axis`` change: (7) has mass and viscous friction, ``loop`` all effects.
 
     ``loop`` is linearised at ``velocity`` [m/s]; the other direction is checked too.
 
@@ -317,15 +326,17 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
         back = replace(loop, plant=sample_axis(axis, -velocity, loop.plant.filters))
         here, there = loop.margins.phase_margin_deg, back.margins.phase_margin_deg
         if not back.stable:
-            notes.append(f"the sampled loop is unstable at {back_speed}")
+            text = f"the sampled loop is unstable at {back_speed}"
+            notes.append(grave("unstable-backward", text, velocity=-velocity))
         elif here is not None and there is not None and there < here - 0.5:
-            notes.append(f"at {back_speed} the sampled loop has {there:.3g} deg of phase margin only")
+            text = f"at {back_speed} the sampled loop has {there:.3g} deg of phase margin only"
+            notes.append(warning("less-margin-backward", text, velocity=-velocity, phase_margin_deg=there))
         notes += _where_it_is_steepest(loop, axis.units)
     return notes
 
 
-def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_form: str = "(7)") -> list[str]:
-    """Return notes on what ``closed_form`` leaves out of ``linear``: mass and friction slope that differ, resonances.
+def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_form: str = "(7)") -> list[Message]:
+    """Return messages on what ``closed_form`` leaves out of ``linear``: another mass and friction slope, resonances.
 
     Mass and slope are those of the whole slow motion; of two masses the one before the coupling is named too.
 
@@ -336,41 +347,44 @@ def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_f
     >>> carriage_in_words(axis, linear_plant(axis), 0.1)
     ['(7) takes one rigid mass of 115.7 kg; the sampled loop has the resonance at 47.99 Hz, 34.72 kg before it']
     """
-    notes, mass, damping, shown = [], axis.mechanics.mass, axis.damping, axis.units.quantity
+    notes, mass, damping, shown = list[Message](), axis.mechanics.mass, axis.damping, axis.units.quantity
     moved, slope = linear.in_slow_motion
     if abs(moved - mass) > 0.01 * mass or abs(slope - damping) > 0.01 * damping:
-        notes.append(
+        text = (
             f"with its effects the {axis.units.word('carriage')} has {shown(moved, 'kg')} and a friction slope of "
             f"{shown(slope, 'N/(m/s)')} at {shown(velocity, 'm/s', 'g')}; {closed_form} takes {shown(mass, 'kg')} and "
             f"{shown(damping, 'N/(m/s)')}, the sampled loop takes all"
         )
+        notes.append(note("mass-with-effects", text, mass=moved, slope=slope, velocity=velocity))
     for w, _ in oscillations(linear.A):
         before = f", {shown(linear.mass, 'kg')} before it" if linear.mass < 0.99 * moved else ""
-        notes.append(
+        frequency = w / (2.0 * math.pi)
+        text = (
             f"{closed_form} takes one rigid {axis.units.word('mass')} of {shown(mass, 'kg')}; the sampled loop has the "
-            "resonance at "
-            f"{w / (2.0 * math.pi):.4g} Hz{before}"
+            f"resonance at {frequency:.4g} Hz{before}"
         )
+        notes.append(note("resonance", text, frequency=frequency))
     return notes
 
 
-def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> list[str]:
-    """Return notes on what a closed form of mass and viscous friction leaves out of ``plant``: effects and filters.
+def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> list[Message]:
+    """Return messages on what a closed form of mass and viscous friction leaves out of ``plant``: effects and filters.
 
     >>> from emps_design.machines import machine
     >>> late = machine("emps2018").replace(effects=[{"kind": "actuator_delay", "delay": 1e-3}])
     >>> closed_form_in_words(late, sample_axis(late), 0.1)
     ['the closed form knows no effects of the axis, the sampled loop takes all']
     """
-    notes = [NO_FILTERS] if plant.filters else []
+    notes = [_no_filters()] if plant.filters else []
     if not axis.effects:
         return notes
     notes_on_carriage = carriage_in_words(axis, plant.linear, velocity, "the closed form")
-    return notes + (notes_on_carriage or ["the closed form knows no effects of the axis, the sampled loop takes all"])
+    text = "the closed form knows no effects of the axis, the sampled loop takes all"
+    return notes + (notes_on_carriage or [note("effects-in-sampled-loop", text)])
 
 
-def _where_it_is_steepest(loop: SampledVelocityLoop, units: Units) -> list[str]:
-    """Return notes if slow motion is less stable: there the slope of force over position does not average out."""
+def _where_it_is_steepest(loop: SampledVelocityLoop, units: Units) -> list[Message]:
+    """Return messages if slow motion is less stable: there the slope of force over position does not average out."""
     steepest = loop.plant.linear.steepest
     if steepest == 0.0:
         return []
@@ -383,9 +397,10 @@ def _where_it_is_steepest(loop: SampledVelocityLoop, units: Units) -> list[str]:
         where = f"in slow motion, where the {units.word('force')} over {place} has its slope of {slope},"
         there = slow.margins.phase_margin_deg
         if not slow.stable:
-            notes.append(f"{where} the sampled loop is unstable")
+            notes.append(grave("unstable-in-slow-motion", f"{where} the sampled loop is unstable", slope=stiffness))
         elif here is not None and there is not None and there < here - 0.5:
-            notes.append(f"{where} the sampled loop has {there:.3g} deg of phase margin only")
+            text = f"{where} the sampled loop has {there:.3g} deg of phase margin only"
+            notes.append(warning("less-margin-in-slow-motion", text, slope=stiffness, phase_margin_deg=there))
     return notes
 
 

@@ -28,6 +28,7 @@ from emps_design.identification.controller.regressors import (
 )
 from emps_design.laws import leaves
 from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
+from emps_design.messages import Message
 from emps_design.records import Record
 from emps_design.units import Units
 
@@ -79,7 +80,7 @@ class LawEstimate:
     notes: tuple[str, ...] = ()
     closest: dict[str, Any] | None = None
     allowed_rms: float | None = None
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[Message, ...] = field(default=())
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data."""

@@ -267,6 +267,20 @@ def test_an_interrupt_of_a_later_search_says_what_was_left_undone(monkeypatch, i
     assert kept.interrupted is unfinished
 
 
+def test_an_interrupt_of_the_healthy_searches_leaves_resampled_noise(monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    module = sys.modules["emps_design.discrepancy.calibration"]
+    for name in ("fit", "tangent", "screen", "by_signature", "suspects_text", "healthy_reference", "Hypothesis"):
+        monkeypatch.setattr(module, name, lambda *arguments, **options: "made")
+    monkeypatch.setattr(module, "healthy_runs", interrupted)
+    start = SimpleNamespace(problem=SimpleNamespace(with_whitening=lambda whitening: None), model=None)
+    floor, prepared = SimpleNamespace(whitening=None, draws=None), SimpleNamespace(library=())
+    calibrated = module.calibrate(prepared, start, floor, 0, 1, lambda stage, share: None)
+    assert [message.code for message in calibrated.warnings] == ["calibration-interrupted"]
+
+
 SPRUNG = {"kind": "flexible_coupling", "frequency": 3.0, "damping": 0.01, "share": 0.6}
 
 

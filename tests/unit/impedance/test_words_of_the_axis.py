@@ -1,5 +1,6 @@
 """What co-manipulation, simulation and observer say, in the units of the axis: nothing of another machine is in it."""
 
+from itertools import chain
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.comanipulation.assessment import ImpedanceAssessment, cautions_of
-from emps_design.comanipulation.scenario import _fit_warning
+from emps_design.comanipulation.scenario import _poor_fit
 from emps_design.comanipulation.study import MismatchStudy, _not_varied
 from emps_design.comanipulation.task import fitted_task
 from emps_design.comanipulation.wall import push_into_wall
@@ -18,6 +19,7 @@ from emps_design.control.impedance.robustness import VERDICTS
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.effects import get_effect
 from emps_design.errors import InputError
+from emps_design.messages import Message, Severity
 from emps_design.observer import KalmanForceObserver, smallest_observable_force
 from emps_design.simulation.kernels import hold_loop
 from emps_design.simulation.plant import Plant
@@ -57,7 +59,17 @@ def cautions(axis: Axis) -> list[str]:
             "creep_speed": 0.0123, "coulomb_factor_without_creep": 0.9, "worst": {"peak_voltage": 10.0},
         },
     }  # fmt: skip
-    return [*cautions_of(assessment, document), *cautions_of(assessment, {**document, "largest_wall_stiffness": None})]
+    above = {"continuous": {"active_bands": [(3.0, None)]}, "sampled": {"passive": True}}
+    refused = SimpleNamespace(**{**vars(assessment), "stable": False, "reason": "it swings"})
+    return [
+        *cautions_of(assessment, document),
+        *cautions_of(refused, {**document, "largest_wall_stiffness": None, "passivity": above}),
+    ]
+
+
+def _of_study(values: dict) -> tuple[Message, ...]:
+    """The messages of a study with these attributes."""
+    return MismatchStudy.warnings.fget(SimpleNamespace(**values))
 
 
 def verdicts(axis: Axis) -> list[str]:
@@ -68,17 +80,21 @@ def verdicts(axis: Axis) -> list[str]:
     proposal = ImpedanceAssessment._proposal.fget(SimpleNamespace(axis=axis, nearest=nearest))
     swings = SimpleNamespace(axis=axis, stable=False, poles_stable=True, headline="limit cycle", _proposal=proposal)
     still = np.array([VERDICTS.index("no_motion"), VERDICTS.index("stable")])
+    ran = SimpleNamespace(diverged=np.ones(2), wanders=np.zeros(2, bool), drift=np.zeros(2))
     measures = SimpleNamespace(diverged=np.zeros(2), wanders=np.array([False, True]), drift=np.array([0.0, 1.2e-4]))
     plants = SimpleNamespace(
         axis=axis, task=SimpleNamespace(warnings=()), plants=2, error=np.zeros(2), errors=np.zeros((2, 3)),
         verdict=still, measures=measures, mismatch=0.0, beyond=(),
     )  # fmt: skip
+    beyond = [{"what": "another hand", "verdict": verdict} for verdict in ("creeping", "no_motion")]
+    worse = [{**vars(plants), "beyond": (change,), "verdict": np.zeros(2, int)} for change in beyond]
+    gone = {**vars(plants), "measures": ran, "error": np.full(2, np.nan)}
     return [
         ImpedanceAssessment.headline.fget(creeps),
         ImpedanceAssessment.reason.fget(swings),
-        *MismatchStudy.warnings.fget(plants),
+        *chain.from_iterable(map(_of_study, (vars(plants), gone, *worse))),
         *_not_varied(axis.units).values(),
-        _fit_warning({"r2": 0.5}, axis.units),
+        *_poor_fit({"r2": 0.5}, axis.units),
         *fitted_task(axis, impedance_law(axis, 30.0, 50.0), force=1.5).warnings,
     ]
 
@@ -124,6 +140,14 @@ def of_loops_and_observers(axis: Axis) -> list[str]:
 def test_nothing_has_to_be_rewritten(axis, said):
     messages = said(axis)
     assert [rewritten(axis.units, text) for text in messages] == messages
+
+
+def test_only_what_moves_by_itself_beyond_the_mismatch_is_grave():
+    said = {message.code: message for message in verdicts(axis_of("linear, V")) if isinstance(message, Message)}
+    assert said["worse-beyond-mismatch"].severity == Severity.GRAVE
+    assert said["other-beyond-mismatch"].severity == Severity.WARNING
+    assert {"ran-away", "unstable-plants"} <= said.keys()
+    assert {"not-to-run", "active-band-unbounded"} <= {message.code for message in cautions(axis_of("linear, V"))}
 
 
 def test_a_rotary_axis_with_a_current_has_its_own_units():

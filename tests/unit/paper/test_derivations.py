@@ -2,11 +2,14 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import sympy as sp
 
+from emps_design.commands import derive
+from emps_design.messages import Severity
 from emps_design.paper import written as y
 from emps_design.paper.errata import derivation, document, find_errata
 from emps_design.paper.loops import (
@@ -155,3 +158,11 @@ def test_every_equation_says_where_it_stands():
 
     assert set(PLACES) == set(EQUATIONS)
     assert [name for names in PLACES.values() for name in names if pydoc.locate(name) is None] == []
+
+
+def test_a_claim_that_does_not_hold_is_a_grave_message(monkeypatch):
+    false = replace(carriage_step(), checks=(("both sides are equal", False),))
+    monkeypatch.setattr("emps_design.paper.errata.derivation", lambda: {"part": ("Part", [false])})
+    (message,) = derive.answer(derive.DeriveRequest()).document["warnings"]
+    assert (message.code, message.severity) == ("claim-is-false", Severity.GRAVE)
+    assert message.endswith("both sides are equal: found false")

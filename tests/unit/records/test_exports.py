@@ -230,6 +230,13 @@ def test_a_scope_export(comma, end):
     assert same(read(scope(comma, end=end), {**{k: GERMAN[k] for k in ()}, "position": {"column": "ActPos"}}))
 
 
+def test_the_scale_of_a_scope_is_said():
+    record = read(scope().replace("ScaleFactor\t1\t1", "ScaleFactor\t1\t0.1"))
+    assert [message.values["column"] for message in record.warnings if message.code == "scope-scale"] == [
+        "TorqueCommand [%]"
+    ]
+
+
 def test_a_scope_export_without_samples_is_refused():
     header = scope().split("Unit ScaleFactor")[0]
     with pytest.raises(RecordError, match="found a header and no samples"):
@@ -359,7 +366,7 @@ def test_irregular_time_is_resampled_and_what_that_costs_is_said():
     assert record.period == 1e-3
     t0 = record.measured["t"][0]
     away = np.abs(record.q - np.sin(6 * (record.t + t0)))
-    note = next(note for note in record.warnings if "put on 1 ms" in note)
+    note = next(message for message in record.warnings if message.code == "irregular-time")
     promised = float(note.split("rms) q ")[1].split(",")[0])
     assert 0 < np.sqrt(np.mean(away**2)) <= promised < 1e-5
     with pytest.raises(RecordError, match="sampling must be uniform"):
