@@ -23,6 +23,7 @@ from .identification import (
 from .importing import import_record as import_record
 from .laws import Law as Law
 from .machines import load_axis as load_axis, machine as machine
+from .messages import Message as Message, Severity as Severity
 from .records import Record as Record, read_record as read_record
 from .report import Report as Report, assemble_report as assemble_report
 from .simulation import (
