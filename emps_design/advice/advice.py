@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,7 +133,7 @@ def nearest_command(nearest: Mapping[str, Any] | None, command_line: CommandLine
 
 def grave_warning(document: Mapping[str, Any]) -> str:
     """Return the most severe message with which no design is safe, or ""."""
-    return _worst(document, Severity.GRAVE)
+    return _worst(document.get("warnings", ()), Severity.GRAVE)
 
 
 def objection(document: Mapping[str, Any]) -> str:
@@ -144,16 +144,15 @@ def objection(document: Mapping[str, Any]) -> str:
     >>> objection({"warnings": [rest, gap, wrong("structure", "the model leaves 30 % of the force unexplained")]})
     'the model leaves 30 % of the force unexplained'
     """
-    return _worst(document, Severity.WARNING)
+    return _worst(document.get("warnings", ()), Severity.WARNING)
 
 
-def _worst(document: Mapping[str, Any], least: Severity) -> str:
-    """Return the most severe message of a ``document``, the first of equal ones; "" if none is as severe as ``least``.
+def _worst(messages: Iterable[str], least: Severity) -> str:
+    """Return the most severe of ``messages``, the first of equal ones; "" if none is as severe as ``least``.
 
-    It may be no message but text, if the document was read from a file.
+    They are plain text in a document that was read from a file.
     """
-    warnings = [text for text in document.get("warnings", ()) if severity_of(text) >= least]
-    return sentence(max(warnings, key=severity_of, default=""))
+    return sentence(max((text for text in messages if severity_of(text) >= least), key=severity_of, default=""))
 
 
 def identify(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -445,10 +444,9 @@ def compensate(document: Mapping[str, Any], command_line: CommandLine) -> Advice
     design = _design(document, command_line, lambda: better, lambda: None)
     if design.level != SAFE:
         return design
-    limits = [cure["advice"] for cure in cures if cure.get("cure") == "limit of the gain"]
-    cycle = next((limit for limit in limits if severity_of(limit) >= Severity.GRAVE), "")
+    cycle = _worst((cure["advice"] for cure in cures), Severity.GRAVE)
     if cycle:
-        return Advice(CAUTION, sentence(cycle), better)
+        return Advice(CAUTION, cycle, better)
     if not document["kept"] or rms["worst"] > rms["without"]:
         wrong = "no term does more good than harm with wrong parameters"
         return Advice(CAUTION, wrong, command("margins", command_line.axis))

@@ -178,8 +178,8 @@ def feedback_cures(axis: Axis) -> list[dict[str, Any]]:
             try:
                 cure = _gain(axis, place) if entry.effect.play else _filter(axis)
             except EmpsError as error:  # a user's law may have no linear form
-                cure = {"cure": None, "advice": f"no advice, {error}"}
-            cures.append({"effect": entry.kind, **cure, "advice": f"{entry.kind}: {cure['advice']}"})
+                cure = {"cure": None, "advice": note("no-cure", f"no advice, {error}")}
+            cures.append({"effect": entry.kind, **cure, "advice": cure["advice"].of(entry.kind)})
     return cures
 
 
@@ -194,13 +194,14 @@ def _filter(axis: Axis) -> dict[str, Any]:
     before, added = suggestion["without"], suggestion["filter"]
     reached = "has no crossover" if before["crossover"] is None else f"reaches {before['crossover']:.4g} rad/s"
     if added is None:
-        advice = f"{loop} {reached}, and no one filter more raises that by a tenth"
+        advice = note("no-filter-helps", f"{loop} {reached}, and no one filter more raises that by a tenth")
     else:
         shape = f", damping {added['damping']:g}, depth {added['depth']:g}" if added["kind"] == "notch" else ""
-        advice = (
+        text = (
             f"{loop} {reached} without, and {suggestion['with']['crossover']:.4g} rad/s with a {added['kind']} at "
             f"{added['frequency']:.4g} Hz{shape}"
         )
+        advice = note("filter-helps", text, **added)
     return {"cure": "filter", "structure": structure.form, **suggestion, "advice": advice}
 
 

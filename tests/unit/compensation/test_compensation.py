@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from emps_design.advice import advise
 from emps_design.cli import app
 from emps_design.codegen import export_controller
 from emps_design.compensation import FeedForward, compensate
@@ -320,6 +321,35 @@ def test_a_coupling_gets_a_filter_that_the_loop_can_be_run_with():
     }
     assert margins["with"].phase_margin_deg == pytest.approx(60.0, abs=1e-3)
     assert not margins["without"].stable or margins["without"].phase_margin_deg < 50.0
+
+
+@pytest.mark.parametrize(
+    ("factor", "code", "level"),
+    [
+        (0.0, "limit-cycle-at-any-gain", "caution"),
+        (0.5, "limit-cycle-at-this-gain", "caution"),
+        (5.0, "limit-cycle-above", "safe"),
+        (np.inf, "no-limit-cycle", "safe"),
+    ],
+)
+def test_a_limit_cycle_with_the_gain_as_it_is_makes_no_design_safe(monkeypatch, factor, code, level):
+    monkeypatch.setattr("emps_design.compensation.feedforward.largest_factor", lambda axis, place: factor)
+    play = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4}
+    (cure,) = feedback_cures(with_effects(play))
+    assert (cure["advice"].code, cure["advice"].partition(": ")[0]) == (code, "backlash")
+    rms, assumed = {"without": 1.0, "worst": 0.1}, {"mismatch": 0.02}
+    document = {"tracking_rms": rms, "feedback": [cure], "kept": ["mass"], "assumed": assumed, "warnings": []}
+    assert advise("compensate", document).level == level
+
+
+def test_a_law_without_a_linear_form_gets_no_cure(monkeypatch):
+    def refused(axis, place):
+        raise InputError("the law has no linear form")
+
+    monkeypatch.setattr("emps_design.compensation.feedforward.largest_factor", refused)
+    play = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4}
+    (cure,) = feedback_cures(with_effects(play))
+    assert (cure["advice"], cure["advice"].code) == ("backlash: no advice, the law has no linear form", "no-cure")
 
 
 def test_the_advice_is_in_document_and_text(tmp_path, capsys):
