@@ -10,6 +10,7 @@ import pytest
 from emps_design.advice import LEVELS
 from emps_design.axis import Axis
 from emps_design.cli import app
+from emps_design.messages import Message
 from emps_design.simulation.synthetic import synthetic_record
 
 LINEAR = {
@@ -47,6 +48,17 @@ CROSSOVER = {"linear": 60.0, "joint": 40.0, "gantry": 20.0, "servo": 10.0}  # ra
 
 DESIGNS = ("gains", "margins", "force", "impedance", "compensate", "simulate", "report")
 ALARM = re.compile(r"unstable|creep|limit cycle|unexplained", re.IGNORECASE)
+
+
+@pytest.fixture(autouse=True)
+def _only_messages(monkeypatch):
+    """Advice meets no plain text, whose severity is unknown: every command hands it messages."""
+
+    def severity(text):
+        assert isinstance(text, Message), text
+        return text.severity
+
+    monkeypatch.setattr("emps_design.advice.advice.severity_of", severity)
 
 
 @pytest.fixture(scope="module", params=AXES)
