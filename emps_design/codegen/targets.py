@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis.tables import field_in
+from emps_design.axis import field_in
 from emps_design.codegen import languages
 from emps_design.codegen.block import COMMAND, Ahead, Block
 from emps_design.codegen.languages import functions_in_c, functions_in_st, st_number

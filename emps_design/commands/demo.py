@@ -62,7 +62,7 @@ def answer(request: DemoRequest) -> Reply:
         progress=request.progress,
     )
     write_text(out, report.page.html())
-    truth = dict(zip(("mass", "viscous", "coulomb", "constant_force"), map(float, axis.mechanics.array()), strict=True))
+    truth = axis.mechanics.parameters
     files = {"record": str(record), "out": str(out)}
     document = {"machine": MACHINE, "seed": request.seed, "truth": truth, **files, **report.to_dict()}
     view = (

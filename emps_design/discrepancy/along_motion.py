@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import BASELINE, Axis, Mechanics
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.balance import (
     Balance,
@@ -25,7 +25,7 @@ from emps_design.discrepancy.balance import (
 from emps_design.discrepancy.experiment import NextExperiment, varies
 from emps_design.discrepancy.explanation import with_marks
 from emps_design.discrepancy.gap import Gap, Prediction
-from emps_design.discrepancy.least_squares import BASELINE, LEAST_MASS
+from emps_design.discrepancy.least_squares import LEAST_MASS
 from emps_design.discrepancy.noise_floor import Floor, Whitening, rms_interval
 from emps_design.discrepancy.preparation import (
     SLOWEST_PERIOD,
@@ -258,9 +258,8 @@ def _axis(outcome: BalanceResult, axis: Axis) -> Axis:
     determined = [quantity.name in outcome.extended.determined for quantity in BASELINE]
     numbers = [float(new if known else old) for new, old, known in zip(own, axis_numbers, determined, strict=True)]
     numbers[0] = max(numbers[0], LEAST_MASS * float(axis_numbers[0]))
-    mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), numbers, strict=True))
     effects = identified_effects(outcome.extended.model, outcome.extended.parameters) if outcome.named else []
-    return axis.replace(mechanics=mechanics, effects=effects)
+    return axis.replace(mechanics=Mechanics.table(numbers), effects=effects)
 
 
 def _records(outcome: BalanceResult) -> list[dict[str, Any]]:

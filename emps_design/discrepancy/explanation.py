@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import BASELINE, Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import force_rms
 from emps_design.discrepancy.calibration import Calibration
@@ -23,7 +23,6 @@ from emps_design.discrepancy.confirmation import deviation_in_time
 from emps_design.discrepancy.experiment import NextExperiment, experiment, what_to_record
 from emps_design.discrepancy.fit import Fit, fit
 from emps_design.discrepancy.gap import most_missed
-from emps_design.discrepancy.least_squares import BASELINE
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.preparation import Preparation, command_of
 from emps_design.discrepancy.problem import Hypothesis

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import BASELINE, Axis, Mechanics
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.effects import Effect, Parameter, kind_of
@@ -27,13 +27,6 @@ from emps_design.effects.sizes import sized_parameter
 from emps_design.errors import SimulationError
 from emps_design.quantities import Quantity
 
-# Of an ordinary axis; a fit scales its steps by at least ``scale``.
-BASELINE = (
-    Parameter("mass", "M", "kg", lower=1e-6, scale=1.0),
-    Parameter("viscous", "F_v", "N/(m/s)", lower=0.0, scale=10.0),
-    Parameter("coulomb", "F_c", "N", lower=0.0, scale=1.0),
-    Parameter("constant_force", "c", "N", scale=1.0),
-)
 LEAST_MASS = 0.01  # of the axis file's: with almost no mass friction dominates, and a simulation takes very long
 
 NUDGE = 2e-4  # finite difference, in magnitudes of the parameter
@@ -175,14 +168,11 @@ class Candidate:
 
     def to_axis(self, axis: Axis, record: int = 0) -> Axis:
         """``axis`` with this baseline and these effects as seen by ``record``."""
-        mass, viscous, coulomb, offset = map(float, self.baseline)
         effects = [
             {"kind": kind_of(e.name), **{p.name: float(x) for p, x in zip(e.parameters, row, strict=True)}}
             for e, row in zip(self.effects, self.parameters(record), strict=True)
         ]
-        return axis.replace(
-            mechanics={"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}, effects=effects
-        )
+        return axis.replace(mechanics=Mechanics.table(self.baseline), effects=effects)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from emps_design.discrepancy.least_squares import BASELINE
+from emps_design.axis import BASELINE
 from emps_design.effects import Effect, get_effect, kind_of
 from emps_design.quantities import inside
 from emps_design.units import Units

@@ -150,7 +150,7 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[Message]:
         listed = ", ".join(_with_unit(name, identified[name], axis.units) for name in negative)
         text = f"no axis has {listed}: {_why_negative(identified, negative)}"
         return [wrong("impossible-parameters", text, **{name: identified[name] for name in negative})]
-    own = {name: float(getattr(axis.mechanics, name)) for name in identified}
+    own = axis.mechanics.parameters
     shares = {name: value / own[name] for name, value in identified.items() if own[name] > 0 and value > 0}
     far = [name for name, share in shares.items() if not 1.0 / FAR[name] < share < FAR[name]]
     if not far:

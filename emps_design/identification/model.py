@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from emps_design.axis import BASELINE
 from emps_design.effects import Motion
 from emps_design.effects.terms import ANGLE, BENT, GRAVITY, HIGHEST, LOWEST, POWER, TERMS
 from emps_design.errors import InputError, nearest_name
@@ -20,14 +21,9 @@ from emps_design.quantities import Quantity
 from emps_design.units import Units
 
 MODELS: dict[str, tuple[Quantity, ...]] = {
-    "symmetric": (
-        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
-        Quantity("viscous", "F_v", "N/(m/s)", text="viscous friction"),
-        Quantity("coulomb", "F_c", "N", text="Coulomb friction"),
-        Quantity("constant_force", "F_0", "N", text="constant force"),
-    ),
+    "symmetric": BASELINE,
     "asymmetric": (
-        Quantity("mass", "M", "kg", text="load-side equivalent mass"),
+        BASELINE[0],
         Quantity("viscous_positive", "F_v^+", "N/(m/s)", text="viscous friction, velocity > 0"),
         Quantity("viscous_negative", "F_v^-", "N/(m/s)", text="viscous friction, velocity < 0"),
         Quantity("coulomb_positive", "F_c^+", "N", text="Coulomb friction, velocity > 0"),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import Axis, Mechanics
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RecordError
 from emps_design.identification.excitation import KNOWN
@@ -314,11 +314,9 @@ def _parameter_bound(filtered_motion: Motion, axis: Axis, std: np.ndarray | None
     std = PARAMETER_UNCERTAINTY * np.abs(mechanics) if std is None else np.asarray(std, dtype=float)
     bare = axis.replace(effects=[])
     total = np.zeros_like(filtered_motion.v)
-    keys = ("mass", "viscous", "coulomb", "offset")
     without = model_force(filtered_motion, bare)
-    for key, value, spread in zip(keys, mechanics, std, strict=True):
-        more = bare.replace(mechanics={key: float(value + spread)})
-        total += (model_force(filtered_motion, more) - without) ** 2
+    for more in mechanics + np.diag(std):
+        total += (model_force(filtered_motion, bare.replace(mechanics=Mechanics.table(more))) - without) ** 2
     return 1.96 * float(np.sqrt(np.mean(total)))
 
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import Axis, Mechanics
 from emps_design.errors import AxisError, EmpsError, InputError, RankError, RecordError, SimulationError
 from emps_design.identification.assemble import (
     Errors,
@@ -57,7 +57,7 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
     ``value`` is not positive, and where the simulation with the controller of ``axis`` fails.
     """
     p = model.natural(value)
-    mechanics = dict(zip(("mass", "viscous", "coulomb", "offset"), model.baseline(p).tolist(), strict=True))
+    mechanics = Mechanics.table(model.baseline(p))
     start = {**mechanics, "viscous": p.get("viscous", mechanics["viscous"])}
     for name in ("mass", "viscous", "coulomb"):
         if not start[name] > 0:
@@ -236,10 +236,12 @@ def _rows(force: np.ndarray, problem: Regression) -> np.ndarray:
 
 def _mechanics(axis: Axis, model: Model) -> np.ndarray:
     """Solution (p,) of ``model`` by the mechanics of the axis file; terms beside it from the model's point, or 0."""
-    mass, viscous, coulomb, offset = axis.mechanics.array().tolist()
-    two = {f"viscous_{way}": viscous for way in ("positive", "negative")}
-    two |= {"coulomb_positive": coulomb + offset, "coulomb_negative": coulomb - offset}
-    own = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "constant_force": offset, **two}
+    own = axis.mechanics.parameters
+    own |= {f"viscous_{way}": own["viscous"] for way in ("positive", "negative")}
+    own |= {
+        "coulomb_positive": own["coulomb"] + own["constant_force"],
+        "coulomb_negative": own["coulomb"] - own["constant_force"],
+    }
     return model.solution({name: model.point.get(name, own.get(name, 0.0)) for name in model.names})
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import Axis, Mechanics
 from emps_design.effects.terms import TERMS
 from emps_design.errors import AxisError, InputError, nearest_name
 from emps_design.identification.chains import CHAINS, DEFAULT_CHAIN
@@ -214,13 +214,12 @@ class Identification(Viewed):
 
     def to_axis(self, name: str | None = None) -> Axis:
         """The axis with the identified mechanics and its known effects; identified terms become effects too."""
-        mass, viscous, coulomb, offset = (float(f"{x:.10g}") for x in self.baseline())
         data = self.axis.to_dict()
         tables = identified_effects(self.fitted, self._determined("the axis"))
         rounded = [{k: x if k == "kind" else float(f"{x:.10g}") for k, x in effect.items()} for effect in tables]
         data["effects"] = [*rounded, *data.get("effects", [])]
         data["name"] = name or self.axis.name
-        data["mechanics"] = {"mass": mass, "viscous": viscous, "coulomb": coulomb, "offset": offset}
+        data["mechanics"] = Mechanics.table([float(f"{x:.10g}") for x in self.baseline()])
         data["sampling"] = {**data["sampling"], "period": self.period}
         try:
             return Axis.from_dict(data, f"identified from {self.record}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.advice import advise
-from emps_design.axis import Axis
+from emps_design.axis import Axis, Mechanics
 from emps_design.discrepancy.residual_views import EVERYWHERE
 from emps_design.errors import EmpsError
 from emps_design.report import diagnosis_sections as figures
@@ -58,7 +58,6 @@ if TYPE_CHECKING:
 
     from emps_design.discrepancy.result import Diagnosis
 
-NUMBERS = ("mass", "viscous", "coulomb", "constant_force")  # of the axis, by which a document has them
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg: the specification of the paper's velocity loop
 
 VERDICTS = {
@@ -79,11 +78,12 @@ SIMULATED = {
 
 def axis_before(extended: Axis, parameters: Mapping[str, Any]) -> Axis:
     """Return ``extended`` without the effects found, with the refitted baseline of ``parameters``."""
-    entries = {name: parameters[name]["baseline"] for name in NUMBERS if parameters.get(name, {}).get("baseline")}
-    baseline = {name: entry["value"] for name, entry in entries.items() if entry["value"] is not None}
-    if "constant_force" in baseline:
-        baseline["offset"] = baseline.pop("constant_force")
-    return extended.replace(effects=[], mechanics=baseline)
+    numbers = extended.mechanics.parameters
+    for name in numbers:
+        refitted = parameters.get(name, {}).get("baseline")
+        if refitted and refitted["value"] is not None:
+            numbers[name] = refitted["value"]
+    return extended.replace(effects=[], mechanics=Mechanics.table(list(numbers.values())))
 
 
 def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:

@@ -155,13 +155,7 @@ def _force_picture(identification: Identification, units: Units) -> Picture:
 
 
 def _parameters_table(identification: Identification, axis: Axis) -> Table:
-    mechanics, units = axis.mechanics, axis.units
-    known = {
-        "mass": mechanics.mass,
-        "viscous": mechanics.viscous,
-        "coulomb": mechanics.coulomb,
-        "constant_force": mechanics.offset,
-    }
+    known, units = axis.mechanics.parameters, axis.units
     rows: list[list[Any]] = []
     for name, estimate in identification.parameters.items():
         label, unit = units.words(words(name)), units.unit(estimate.quantity.unit)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import Axis, Mechanics
 from emps_design.errors import InputError, SimulationError, nearest_name
 from emps_design.laws import law_of
 from emps_design.progress import Progress
@@ -26,7 +26,7 @@ from emps_design.simulation.kernels.lanes import LANES, room
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.scenarios import DROPPED
 
-BASELINE = ("mass", "viscous", "coulomb", "offset")
+MECHANICS = tuple(Mechanics.model_fields)
 
 DONE, FAILED, UNFINISHED = 0, 1, 2
 STATUS = ("done", "failed", "unfinished")
@@ -109,7 +109,7 @@ def sweep(axis: Axis, name: str, values: Sequence[float]) -> Plants:
 
 def _parameter_places(axis: Axis) -> dict[str, tuple[int, int]]:
     """Parameters that can be varied: name -> index of the effect (-1: baseline), index of the parameter."""
-    names = {name: (-1, i) for i, name in enumerate(BASELINE)}
+    names = {name: (-1, i) for i, name in enumerate(MECHANICS)}
     for place, entry in enumerate(axis.effects):
         for i, parameter in enumerate(entry.effect.parameters):
             names[f"{entry.kind}.{parameter.name}"] = (place, i)
@@ -117,7 +117,7 @@ def _parameter_places(axis: Axis) -> dict[str, tuple[int, int]]:
 
 
 def _spreads(axis: Axis, spread: float | Mapping[str, float]) -> dict[str, float]:
-    spreads = dict(spread) if isinstance(spread, Mapping) else {name: float(spread) for name in BASELINE}
+    spreads = dict(spread) if isinstance(spread, Mapping) else {name: float(spread) for name in MECHANICS}
     for name, value in spreads.items():
         if not (np.isfinite(value) and 0 <= value < 1):
             raise InputError(f"spread of {name}: found {value:g}, expected a relative number in [0, 1)")

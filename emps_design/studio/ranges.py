@@ -13,8 +13,7 @@ from functools import lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-from emps_design.axis import Axis
-from emps_design.axis.tables import NO_LIMIT
+from emps_design.axis import NO_LIMIT, Axis
 from emps_design.errors import EmpsError
 from emps_design.machines import machine
 from emps_design.quantities import one_two_five
