@@ -40,8 +40,7 @@ from emps_design.effects.effect import ADDED
 from emps_design.errors import AxisError, InputError
 from emps_design.laws import Law, get_law, law_of
 from emps_design.laws.law import LawKind, LawTable, Positive, parameter
-from emps_design.observer import external_force
-from emps_design.observer.external_force import ForceObserver
+from emps_design.observer import ForceObserver, force_observer
 from emps_design.simulation.kernels.inverse import PASSES
 
 if TYPE_CHECKING:
@@ -161,7 +160,7 @@ def observed_parts(axis: Axis) -> tuple[Part, ...]:
 
 def observer_program(parts: Iterable[Part]) -> Program:
     """The observer's equation with the kernels of ``parts`` in it."""
-    plain = read_program(external_force.force_observer, LAW_ARGUMENTS)
+    plain = read_program(force_observer, LAW_ARGUMENTS)
     functions: list[Function] = []
     calls: dict[str, list[str]] = {f"added_{hook}": [] for hook in ADDED}
     for part in parts:
@@ -232,7 +231,7 @@ OBSERVER = LawKind(
     label="on-line observer of the external force",
     source="paper, (19)",
     table=ObserverTable,
-    kernel=external_force.force_observer,
+    kernel=force_observer,
     gains=_gains,
     memory=4,
     equations=_equations,

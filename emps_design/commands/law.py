@@ -46,7 +46,6 @@ class LawRequest(Request):
 def answer(request: LawRequest) -> Reply:
     """The controller with the deviations of its numbers, or why it is not identified."""
     from emps_design.identification.controller import identify_law
-    from emps_design.identification.controller.view import law_view
 
     request.progress(LOOKING, 0.0)
     units = request.axis.units
@@ -55,4 +54,4 @@ def answer(request: LawRequest) -> Reply:
         if estimate.controller is None:
             raise InputError(f"{estimate.record}: {estimate.reason}; {request.out} is not written")
         write_text(request.out, estimate.to_toml())
-    return Reply(estimate.to_dict(), law_view(estimate), units, warnings=estimate.warnings)
+    return Reply(estimate.to_dict(), estimate.view(), units, warnings=estimate.warnings)

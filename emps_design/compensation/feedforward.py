@@ -31,8 +31,7 @@ from emps_design.messages import grave, note
 from emps_design.units import Units
 
 if TYPE_CHECKING:
-    from emps_design.axis import Axis
-    from emps_design.axis.tables import AxisEffect
+    from emps_design.axis import Axis, AxisEffect
 
 BASELINE = {"inertia": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "constant": OFFSET}
 LEAD = "lead"

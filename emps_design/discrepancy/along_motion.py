@@ -252,7 +252,7 @@ def _whole(fitted: Fitted) -> dict[str, float]:
 
 def _axis(outcome: BalanceResult, axis: Axis) -> Axis:
     """``axis`` with the identified numbers and effects; an undetermined number stays as it was."""
-    from emps_design.identification.problem import identified_effects
+    from emps_design.identification.model import identified_effects
 
     axis_numbers, own = axis.mechanics.array(), outcome.extended.model.baseline(_whole(outcome.extended))
     determined = [quantity.name in outcome.extended.determined for quantity in BASELINE]

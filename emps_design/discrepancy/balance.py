@@ -31,14 +31,15 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.unknown_force import MissingForce
 from emps_design.effects import Effect
 from emps_design.effects.terms import BENT, TERMS
+from emps_design.identification.chains import Filtered, chosen_cutoff, filter_record
 from emps_design.identification.excitation import goes_one_way
 from emps_design.identification.identify import identify_by_least_squares
-from emps_design.identification.inverse_model import Filtered, chosen_cutoff, regression
+from emps_design.identification.inverse_model import regression
 from emps_design.identification.model import ONE_WAY, Model
-from emps_design.identification.problem import acting, filter_record
 from emps_design.identification.proposals import FEWEST_STROKES, POWERS, RESISTS, Strokes, proposed_terms, solved
 from emps_design.identification.result import BY_LEAST_SQUARES, NO_TERMS, Identification, IdentificationRequest
 from emps_design.messages import Message, warning
+from emps_design.observer import with_acting_command
 from emps_design.quantities import inside
 from emps_design.records import Record
 
@@ -214,7 +215,7 @@ class Balance:
         axis = axis.supplied_by(record)
         if alike is None:
             friction = ONE_WAY if goes_one_way(record) else SYMMETRIC
-            cutoff = chosen_cutoff(acting(record, axis))
+            cutoff = chosen_cutoff(with_acting_command(axis, record)[0])
             clock = logged_beside(record, axis, friction, cutoff)
         else:
             friction, cutoff, clock = alike.friction, alike.cutoff, alike.clock

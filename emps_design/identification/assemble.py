@@ -13,17 +13,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.effects.terms import ANGLE, POWER
 from emps_design.errors import InputError, RankError, RecordError
+from emps_design.identification.chains import LONGEST, first_part
 from emps_design.identification.excitation import WEAK_RELIABILITY, follows, reliability, share_near_gaps
-from emps_design.identification.inverse_model import LONGEST, LeastSquares, first_part
+from emps_design.identification.inverse_model import LeastSquares, Regression
 from emps_design.identification.model import FRICTION
-from emps_design.identification.problem import Regression
 from emps_design.identification.proposals import unexplained
 from emps_design.identification.result import Estimate, Identification
 from emps_design.identification.statistics import LongRun, hac_covariance, long_run, residual_bootstrap
@@ -52,12 +53,50 @@ OPEN = 0.5  # of the force: a parameter whose interval spans zero and this much 
 LARGEST_NEAR_GAPS = 0.5  # share of a friction parameter's information that may lie beside a rest
 
 
-class Estimated(NamedTuple):
-    """Parameters (p,), their deviations (p,), and their known bias by encoder noise (p,)."""
+@dataclass(frozen=True)
+class Solution:
+    """The ``fit`` of a ``problem``, by instruments ``Z`` (n, p) where given, with the statistics of its residual."""
 
-    value: np.ndarray
-    std: np.ndarray
-    known: np.ndarray | float = 0.0
+    problem: Regression
+    fit: LeastSquares
+    Z: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, problem: Regression) -> Solution:
+        """Least squares; raises :class:`RankError` for columns that the record cannot tell apart."""
+        return cls(problem, problem.solved())
+
+    @cached_property
+    def parameters(self) -> np.ndarray:
+        """The parameters (p,), in the order of the model."""
+        return np.array(list(self.problem.model.natural(self.fit.value).values()))
+
+    @property
+    def instruments(self) -> np.ndarray:
+        """The instruments (n, p); of least squares they are the columns of W."""
+        return self.problem.W if self.Z is None else self.Z
+
+    @cached_property
+    def spread(self) -> LongRun:
+        """Long-run statistics of the residual.
+
+        The autoregressive model is made of rows away from rest, as far apart as the band resolves (half a period).
+        """
+        filtered = self.problem.filtered
+        steps, away = filtered.independent_rows
+        return long_run(
+            self.problem.W[::steps],
+            self.fit.residual[::steps] * away[::steps],
+            away[::steps],
+            filtered.period * steps,
+            self.instruments[::steps],
+        )
+
+    @property
+    def hac_lag(self) -> int:
+        """Lag [rows] of the HAC covariance: four correlation times, at least 0.1 s."""
+        lag = int(max(0.1, 4.0 * self.spread.correlation_time) / self.problem.filtered.period)
+        return min(lag, len(self.problem.W) // 10)
 
 
 @dataclass(frozen=True)
@@ -86,48 +125,53 @@ class CutoffSensitivity:
 
 
 def cutoff_sensitivity(
-    names: tuple[str, ...],
-    own: Estimated,
-    cutoff: float,
-    period: float,
-    estimate: Callable[[float], Estimated],
+    own: Solution,
+    at: Callable[[float], Solution],
+    bias: Callable[[Solution], np.ndarray | float] = lambda solution: 0.0,
 ) -> CutoffSensitivity:
-    """Estimate again at half and twice the ``cutoff`` [Hz], where the record, sampled with ``period`` [s], allows it.
+    """Solve again ``at`` half and twice the cut-off [Hz] of ``own``, where the record allows it.
 
-    At twice the cut-off encoder noise is much larger, so the change that it explains does not count. At half the
-    cut-off there is hardly any noise: the known bias of ``own`` counts only as far as that estimate confirms it.
+    At twice the cut-off encoder noise is much larger, so the change by the known ``bias`` (p,) of a solution does not
+    count. At half the cut-off there is hardly any noise: the bias of ``own`` counts only as far as that estimate
+    confirms it.
 
-    >>> own = Estimated(np.array([2.0]), np.array([0.1]))
-    >>> def estimate(cutoff):
-    ...     return Estimated(np.array([2.0 - 0.01 * cutoff]), np.array([0.1]))
-    >>> sensitivity = cutoff_sensitivity(("mass",), own, 10.0, 1e-3, estimate)
-    >>> round(sensitivity.relative["mass"], 6), sensitivity.beyond_chance.round(3).tolist()
-    (0.1, [0.173])
+    >>> from emps_design.machines import machine
+    >>> from emps_design.simulation.synthetic import synthetic_record
+    >>> axis = machine("emps2019")
+    >>> record = synthetic_record(axis, laps=1)
+    >>> def at(cutoff):
+    ...     return Solution.of(Regression.of(record, axis, "symmetric", cutoff=cutoff))
+    >>> sensitivity = cutoff_sensitivity(at(40.0), at)
+    >>> sensitivity.cutoffs, 0.0 < sensitivity.relative["mass"] < 0.01
+    ((20.0, 80.0), True)
     """
-    cutoffs, tried = [], []
-    most_known = np.abs(own.known) + np.zeros(len(names))
+    names, cutoff, value = own.problem.names, own.problem.filtered.band_hz, own.parameters
+    std, cutoffs, tried = own.spread.std, [], []
+    known = bias(own)
+    most_known = np.abs(known) + np.zeros(len(names))
     moved = np.zeros(len(names))
     for factor in FACTORS:
-        other = min(factor * cutoff, HIGHEST / period)
-        if factor > 1.0 and other < 1.2 * cutoff:
+        frequency = min(factor * cutoff, HIGHEST / own.problem.record.period)
+        if factor > 1.0 and frequency < 1.2 * cutoff:
             continue
         try:
-            moved_estimate = estimate(other)
+            other = at(frequency)
+            other_std, other_known = other.spread.std, bias(other)
         except (RecordError, RankError, InputError, np.linalg.LinAlgError):
             continue  # too little of the record is away from rest at that cut-off
-        cutoffs.append(other)
-        tried.append(moved_estimate.value)
-        shift = moved_estimate.value - own.value
-        chance = CHANCE * np.maximum(np.sqrt(np.abs(moved_estimate.std**2 - own.std**2)), ALIKE * own.std)
+        cutoffs.append(frequency)
+        tried.append(other.parameters)
+        shift = other.parameters - value
+        chance = CHANCE * np.maximum(np.sqrt(np.abs(other_std**2 - std**2)), ALIKE * std)
         if factor < 1.0:
             most_known = np.minimum(most_known, np.abs(shift) + chance)
         else:
-            expected = own.known - moved_estimate.known
+            expected = known - other_known
             shift = shift - np.clip(shift, np.minimum(expected, 0.0), np.maximum(expected, 0.0))
         moved = np.maximum(moved, np.sqrt(np.maximum(shift**2 - chance**2, 0.0)))
     moved = np.maximum(moved, most_known)
-    moved = np.where(moved > NEGLIGIBLE * np.abs(own.value), moved, 0.0)
-    return CutoffSensitivity(names, own.value, tuple(cutoffs), np.reshape(tried, (len(tried), len(names))), moved)
+    moved = np.where(moved > NEGLIGIBLE * np.abs(value), moved, 0.0)
+    return CutoffSensitivity(names, value, tuple(cutoffs), np.reshape(tried, (len(tried), len(names))), moved)
 
 
 def implausible(values: Mapping[str, float], axis: Axis) -> list[Message]:
@@ -219,23 +263,21 @@ class Errors:
 
 
 def assemble(
-    problem: Regression,
-    fit: LeastSquares,
+    solution: Solution,
     estimator: str,
-    Z: np.ndarray | None = None,
     errors: Errors = Errors(),
     notes: Sequence[Message] = (),
     extra: Mapping[str, Any] | None = None,
     weakest: float = WEAK_RELIABILITY,
 ) -> Identification:
-    """The :class:`Identification` of a ``fit`` of ``problem``, with its statistics and warnings.
+    """The :class:`Identification` that a ``solution`` makes, with its statistics and warnings.
 
-    ``Z`` (n, p) are the instruments, if any. ``weakest`` is the least reliability of a column that still determines
-    its parameter; 0 where W was simulated, not measured.
+    ``weakest`` is the least reliability of a column that still determines its parameter; 0 where W was simulated, not
+    measured.
     """
+    problem, fit, spread, lag = solution.problem, solution.fit, solution.spread, solution.hac_lag
     record, axis, filtered, W = problem.record, problem.axis, problem.filtered, problem.W
-    spread, lag = residual_statistics(problem, fit, Z)
-    hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, Z)))
+    hac = np.sqrt(np.diag(hac_covariance(W, fit.residual, lag, solution.instruments)))
     structure = unexplained(problem, fit.residual, spread)
     shares = _reliability(problem) if weakest > 0 else [None] * len(problem.names)
     at_rests = known_near_rest_only(problem) if weakest > 0 else ()
@@ -243,7 +285,7 @@ def assemble(
     sizes, swing = np.sqrt(np.mean(W[used] ** 2, axis=0)), float(np.std(problem.Y[used]))
     warnings: list[Message] = []
     estimates = {}
-    values = problem.parameters(fit.value)
+    values = solution.parameters
     std = structure.widening * spread.std
     bias, steps, moved = np.zeros((3, len(values)))
     if errors.systematic is not None:
@@ -353,12 +395,11 @@ def _around(value: float, half: float) -> tuple[float, float]:
     return float(value - half), float(value + half)
 
 
-def with_bootstrap(
-    identification: Identification, problem: Regression, fit: LeastSquares, draws: int, seed: int
-) -> Identification:
+def with_bootstrap(identification: Identification, solution: Solution, draws: int, seed: int) -> Identification:
     """``identification`` with deviations and intervals by a bootstrap of the residual with ``draws`` draws."""
+    problem = solution.problem
     steps, away = problem.filtered.independent_rows
-    rows = (problem.W[::steps], fit.residual[::steps] * away[::steps], away[::steps])
+    rows = (problem.W[::steps], solution.fit.residual[::steps] * away[::steps], away[::steps])
     std = np.sqrt(np.diag(residual_bootstrap(*rows, identification.residual, draws, seed)))
     parameters, widening = {}, identification.extra["unexplained"]["widening"]
     for (name, estimate), own in zip(identification.parameters.items(), std.tolist(), strict=True):
@@ -369,25 +410,6 @@ def with_bootstrap(
         half = float(np.hypot(identification.residual.quantile * known, estimate.cutoff or 0.0))
         parameters[name] = replace(estimate, std_bootstrap=own, interval_95_bootstrap=_around(estimate.value, half))
     return replace(identification, parameters=parameters)
-
-
-def residual_statistics(problem: Regression, fit: LeastSquares, Z: np.ndarray | None = None) -> tuple[LongRun, int]:
-    """Long-run statistics of the residual of ``fit``, and the HAC lag [rows].
-
-    The lag is four correlation times, at least 0.1 s. The autoregressive model is made of rows away from rest, as far
-    apart as the band resolves (half a period).
-    """
-    filtered = problem.filtered
-    steps, away = filtered.independent_rows
-    spread = long_run(
-        problem.W[::steps],
-        fit.residual[::steps] * away[::steps],
-        away[::steps],
-        filtered.period * steps,
-        None if Z is None else Z[::steps],
-    )
-    lag = int(max(0.1, 4.0 * spread.correlation_time) / filtered.period)
-    return spread, min(lag, len(problem.W) // 10)
 
 
 def known_near_rest_only(problem: Regression) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ REFUSE, KNOWN = "refuse", "known"  # treatment of a record with a measured exter
 SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
 SMALLEST_STEPS = 200
 LARGEST_SATURATED_SHARE = 0.2
+REVERSAL = 0.02  # of the stroke: least motion against the other direction, and of a piece that counts
 SENSOR_NOISE = 0.01  # of the motor force: a smaller measured force may be sensor noise
 SURE_OF_MOTION = 4.0  # standard deviations of a central difference, beyond which a velocity has a sign
 WEAK_RELIABILITY = 0.5  # share of a column explained by the reference, below which its parameter is not determined
@@ -77,8 +78,8 @@ def follows(record: Record) -> bool:
     return float(np.std(record.q - record.q_ref)) <= 0.1 * float(np.std(record.q))
 
 
-def reverses(q: np.ndarray, share: float = 0.02) -> bool:
-    """Whether the position goes both up and down by at least ``share`` of its stroke.
+def reverses(q: np.ndarray) -> bool:
+    """Whether the position goes both up and down by at least :data:`REVERSAL` of its stroke.
 
     >>> reverses(np.array([0.0, 1.0, 2.0])), reverses(np.array([0.0, 1.0, 0.5]))
     (False, True)
@@ -86,13 +87,13 @@ def reverses(q: np.ndarray, share: float = 0.02) -> bool:
     stroke = float(np.ptp(q))
     rise = float(np.max(q - np.minimum.accumulate(q)))
     fall = float(np.max(np.maximum.accumulate(q) - q))
-    return min(rise, fall) >= share * stroke
+    return min(rise, fall) >= REVERSAL * stroke
 
 
 def goes_one_way(record: Record) -> bool:
     """Whether all of ``record`` moves in one direction; Coulomb friction and constant force are one force then."""
     pieces = [record.q[start:stop] for start, stop in record.pieces if stop - start > 1]
-    pieces = [q for q in pieces if np.ptp(q) >= 0.02 * max(np.ptp(piece) for piece in pieces)]
+    pieces = [q for q in pieces if np.ptp(q) >= REVERSAL * max(np.ptp(piece) for piece in pieces)]
     return not any(map(reverses, pieces)) and len({bool(q[-1] > q[0]) for q in pieces}) < 2
 
 

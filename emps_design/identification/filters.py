@@ -12,6 +12,7 @@ velocity that is filtered only as much as the encoder noise requires.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from emps_design.errors import InputError
 from emps_design.records import Record
 
 DECIMATION = 10
+ORDERS = {"butterworth": 4, "chebyshev": 8}
 BLOCK = 200_000  # samples that are filtered at a time
 
 SLOW = 0.01  # of the largest velocity: below it friction may be that of rest
@@ -31,8 +33,8 @@ BLOCKS = 50  # blocks, of whose noise estimates the median counts
 MOVING = 0.1  # of a block's samples that differ from the one before: least share of a block that counts
 
 
-def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4) -> np.ndarray:
-    """Run a Butterworth low-pass forwards and backwards: zero phase, twice the attenuation.
+def low_pass(signal: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
+    """Run a Butterworth low-pass of order 4 forwards and backwards: zero phase, twice the attenuation.
 
     ``signal`` (n,), ``cutoff_hz`` [Hz] below the Nyquist frequency, ``period`` [s]. Returns (n,). The two passes
     leave half the amplitude at the cut-off. Raises :class:`InputError` for an impossible cut-off.
@@ -43,16 +45,26 @@ def low_pass(signal: np.ndarray, cutoff_hz: float, period: float, order: int = 4
     True
     """
     share = share_of_nyquist(cutoff_hz, period)
-    return _forwards_and_backwards(_butterworth(order, share), signal, _padding(order, len(signal)), share)
+    return _forwards_and_backwards(_design("butterworth", share), signal, share)
+
+
+class _Design(NamedTuple):
+    """A low-pass of this ``order`` as second-order ``sections``, and its steady state for a ``constant`` of 1."""
+
+    order: int
+    sections: np.ndarray
+    constant: np.ndarray
 
 
 # Cached: designing a filter and its steady state takes as long as filtering ten thousand samples.
 @lru_cache(maxsize=64)
-def _butterworth(order: int, share: float) -> tuple[np.ndarray, np.ndarray]:
-    from scipy.signal import butter, sosfilt_zi
+def _design(kind: str, share: float) -> _Design:
+    """The filter with cut-off ``share`` of the Nyquist frequency."""
+    from scipy.signal import butter, cheby1, sosfilt_zi
 
-    sections = butter(order, share, output="sos")
-    return sections, sosfilt_zi(sections)
+    order = ORDERS[kind]
+    sections = butter(order, share, output="sos") if kind == "butterworth" else cheby1(order, 0.05, share, output="sos")
+    return _Design(order, sections, sosfilt_zi(sections))
 
 
 def share_of_nyquist(cutoff_hz: float, period: float) -> float:
@@ -83,15 +95,7 @@ def decimate(signal: np.ndarray, factor: int = DECIMATION) -> np.ndarray:
         return signal
     share = 0.8 / factor
     rows = decimated_rows(len(signal), factor)
-    return _forwards_and_backwards(_chebyshev(share), signal, _padding(8, len(signal)), share, rows)
-
-
-@lru_cache(maxsize=64)
-def _chebyshev(share: float) -> tuple[np.ndarray, np.ndarray]:
-    from scipy.signal import cheby1, sosfilt_zi
-
-    sections = cheby1(8, 0.05, share, output="sos")
-    return sections, sosfilt_zi(sections)
+    return _forwards_and_backwards(_design("chebyshev", share), signal, share, rows)
 
 
 def decimated_rows(n: int, factor: int = DECIMATION) -> slice:
@@ -107,7 +111,7 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
     """Position, velocity and acceleration (n,) of ``record``, zero-phase low-passed at ``cutoff_hz`` [Hz].
 
     Velocity is the central, acceleration the second difference (see the module's text on the hold). ``tau`` is zero;
-    :func:`emps_design.identification.inverse_model.with_predicted_force` sets it to a model's force.
+    :func:`emps_design.identification.model.with_predicted_force` sets it to a model's force.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -138,15 +142,15 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
 
 def held_force(record: Record, force_gain: float, cutoff_hz: float) -> np.ndarray:
     """Motor force (n,) [N] around t_k of a held voltage, G_tau (u[k] + u[k-1])/2, low-passed like the motion."""
-    force = low_pass(held(record.u), cutoff_hz, record.period)
+    force = low_pass(mean_of_held(record.u), cutoff_hz, record.period)
     force *= force_gain
     return force
 
 
-def held(u: np.ndarray) -> np.ndarray:
+def mean_of_held(u: np.ndarray) -> np.ndarray:
     """Mean around t_k of a signal held over [t_k, t_k + T): (u[k] + u[k-1])/2.
 
-    >>> held(np.array([0.0, 2.0, 2.0])).tolist()
+    >>> mean_of_held(np.array([0.0, 2.0, 2.0])).tolist()
     [0.0, 1.0, 2.0]
     """
     mean = np.array(u, dtype=float)
@@ -193,26 +197,24 @@ def _second_difference(q: np.ndarray, period: float) -> np.ndarray:
     return second
 
 
-def _forwards_and_backwards(
-    design: tuple[np.ndarray, np.ndarray],
-    signal: np.ndarray,
-    padding: int,
-    share: float,
-    rows: slice = slice(None),
-) -> np.ndarray:
+def _forwards_and_backwards(design: _Design, signal: np.ndarray, share: float, rows: slice = slice(None)) -> np.ndarray:
     """Zero-phase filter of a ``design`` with cut-off ``share`` of the Nyquist frequency; only ``rows``.
 
     Long signals are filtered in blocks, to save memory. They overlap so far that the response to samples outside a
     block is below rounding.
     """
     n, reach = len(signal), int(200.0 / share)
+    if n <= 3 * design.order:
+        raise InputError(
+            f"record: found {n} samples, expected more than {3 * design.order} for a filter of order {design.order}"
+        )
     if n <= BLOCK + 2 * reach:
-        return _zero_phase(design, signal, padding)[rows].copy()
+        return _zero_phase(design, signal)[rows].copy()
     wanted = range(n)[rows]
     smooth, filled = np.empty(len(wanted)), 0
     for start in range(0, n, BLOCK):
         low, stop = max(0, start - reach), min(n, start + BLOCK)
-        part = _zero_phase(design, signal[low : min(n, stop + reach)], padding)
+        part = _zero_phase(design, signal[low : min(n, stop + reach)])
         first = wanted.start - low + -(-max(0, start - wanted.start) // wanted.step) * wanted.step
         kept = part[first : stop - low : wanted.step]
         smooth[filled : filled + len(kept)] = kept
@@ -220,22 +222,16 @@ def _forwards_and_backwards(
     return smooth
 
 
-def _zero_phase(design: tuple[np.ndarray, np.ndarray], signal: np.ndarray, padding: int) -> np.ndarray:
+def _zero_phase(design: _Design, signal: np.ndarray) -> np.ndarray:
     """Bit-identical to scipy's ``sosfiltfilt``, for second-order sections whose steady state is known."""
     from scipy.signal import sosfilt
 
-    sections, constant = design
+    padding = 3 * design.order
     before, after = 2.0 * signal[0] - signal[padding:0:-1], 2.0 * signal[-1] - signal[-2 : -2 - padding : -1]
     signal = np.concatenate([before, signal, after])
     for _ in range(2):
-        signal = sosfilt(sections, signal, zi=constant * signal[0])[0][::-1]
+        signal = sosfilt(design.sections, signal, zi=design.constant * signal[0])[0][::-1]
     return signal[padding:-padding]
-
-
-def _padding(order: int, n: int) -> int:
-    if n <= 3 * order:
-        raise InputError(f"record: found {n} samples, expected more than {3 * order} for a filter of order {order}")
-    return 3 * order
 
 
 def encoder_variance(record: Record) -> float:

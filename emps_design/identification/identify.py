@@ -22,25 +22,22 @@ from emps_design.errors import EmpsError, InputError, RankError, RecordError
 from emps_design.identification.assemble import (
     CutoffSensitivity,
     Errors,
-    Estimated,
+    Solution,
     assemble,
     cutoff_sensitivity,
-    residual_statistics,
     with_bootstrap,
 )
-from emps_design.identification.chains import DEFAULT_CHAIN, LONG
-from emps_design.identification.excitation import REFUSE, WEAK_RELIABILITY, check_record, force_free, goes_one_way
-from emps_design.identification.inverse_model import (
-    LeastSquares,
+from emps_design.identification.chains import (
+    DEFAULT_CHAIN,
+    LONG,
     acceleration_noise,
     chosen_cutoff,
     explained_by_frequency,
     first_part,
-    least_squares,
-    relative_error,
 )
-from emps_design.identification.model import LUMP, ONE_WAY, Model, lumped
-from emps_design.identification.problem import Regression, acting, known_part, notes
+from emps_design.identification.excitation import REFUSE, WEAK_RELIABILITY, check_record, force_free, goes_one_way
+from emps_design.identification.inverse_model import Regression, least_squares, notes, relative_error
+from emps_design.identification.model import LUMP, ONE_WAY, Model, known_part, lumped
 from emps_design.identification.proposals import proposed_for, proposed_terms
 from emps_design.identification.result import (
     AUTO,
@@ -54,6 +51,7 @@ from emps_design.identification.result import (
 )
 from emps_design.laws import NONE
 from emps_design.messages import Message, note, warning
+from emps_design.observer import with_acting_command
 from emps_design.records import Record
 from emps_design.request import takes
 
@@ -68,33 +66,34 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Identificatio
     hold = request.filter == DEFAULT_CHAIN
     terms = request.terms
     axis = known_part(axis, Model(request.model, terms or ()))
-    remarks, chosen = notes(axis), chosen_cutoff(acting(record, axis))
+    driven, _ = with_acting_command(axis, record)
+    remarks, chosen = notes(axis), chosen_cutoff(driven)
     cutoff = chosen if hold and request.cutoff is None else request.cutoff
     proposed: tuple[str, ...] = ()
     if terms is None and hold:
         proposed = proposed_terms(record, axis, friction, cutoff or chosen)
     model = Model(friction, proposed if terms is None else terms)
     problem = Regression.of(record, axis, model, request.filter, cutoff)
-    fit = problem.solved()
+    solution = Solution.of(problem)
     extra: dict[str, Any] = {
-        "held_out": _held_out(problem, fit, request),
+        "held_out": _held_out(solution, request),
         "cutoff_from_data": explained_by_frequency(
-            acting(record, axis), chosen, replace(problem.model, friction="symmetric"), axis.units
+            driven, chosen, replace(problem.model, friction="symmetric"), axis.units
         ),
     }
     if hold:
-        errors = Errors(encoder=_encoder_error(problem, fit), cutoff=_cutoff_change(problem, fit))
+        errors = Errors(encoder=_encoder_error(solution), cutoff=_cutoff_change(solution))
     else:
-        better, systematic = _compare_with_hold(problem, fit, chosen)
+        better, systematic = _compare_with_hold(solution, chosen)
         errors = Errors(systematic)
         if better is None:
             text = "too little of the record is away from rest: the intervals leave out the error by friction at rest"
             remarks.append(warning("rest-left-out", text))
         else:
             extra["hold_modelled"] = {name: estimate.to_dict() for name, estimate in better.parameters.items()}
-    identification = assemble(problem, fit, "least_squares", errors=errors, notes=remarks, extra=extra)
+    identification = assemble(solution, "least_squares", errors, remarks, extra)
     if request.bootstrap:
-        identification = with_bootstrap(identification, problem, fit, request.bootstrap, request.seed)
+        identification = with_bootstrap(identification, solution, request.bootstrap, request.seed)
     identification = replace(identification, proposed=proposed)
     return identification if friction == request.model else _one_way(identification, request.model)
 
@@ -112,8 +111,9 @@ def _one_way(identification: Identification, model: str) -> Identification:
     return replace(identification, fitted=whole, parameters=parameters, warnings=warnings)
 
 
-def _encoder_error(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
+def _encoder_error(solution: Solution) -> np.ndarray | None:
     """Rms error (p,) of least squares by the steps of the encoder; None where it is not computed."""
+    problem = solution.problem
     if len(problem.record) > LONG:
         return None
     # Imported here: the simulation's modules would add a tenth to the memory of a long record's regression.
@@ -122,54 +122,54 @@ def _encoder_error(problem: Regression, fit: LeastSquares) -> np.ndarray | None:
     def estimate(rounded: Record, exact: Record) -> np.ndarray:
         return problem.alike(rounded).solved().value
 
-    return error_of_steps(first_part(problem.record), problem.axis, problem.model, fit.value, estimate)
+    return error_of_steps(first_part(problem.record), problem.axis, problem.model, solution.fit.value, estimate)
 
 
-def _cutoff_change(problem: Regression, fit: LeastSquares) -> CutoffSensitivity:
+def _cutoff_change(solution: Solution) -> CutoffSensitivity:
     """Sensitivity to half and twice the cut-off; of a long record by its first part."""
+    problem = solution.problem
     part = first_part(problem.record)
     if part is not problem.record:
-        problem = problem.alike(part)
-        fit = problem.solved()
+        solution = Solution.of(problem.alike(part))
 
-    def at(frequency: float) -> Estimated:
-        other = Regression.of(part, problem.axis, problem.model, cutoff=frequency)
-        return _estimate_with_bias(other, other.solved())
+    def at(frequency: float) -> Solution:
+        return Solution.of(Regression.of(part, problem.axis, problem.model, cutoff=frequency))
 
-    own = _estimate_with_bias(problem, fit)
-    return cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, part.period, at)
+    return cutoff_sensitivity(solution, at, _noise_bias)
 
 
-def _estimate_with_bias(problem: Regression, fit: LeastSquares) -> Estimated:
-    """Least squares, and the known bias by encoder noise in the column of the mass, which pulls the mass down."""
+def _noise_bias(solution: Solution) -> np.ndarray:
+    """Known bias (p,) of least squares by encoder noise in the column of the mass, which pulls the mass down."""
+    problem = solution.problem
     square = problem.W.T @ problem.W
     own = 1.0 / float(np.linalg.inv(square)[0, 0])  # of the mass's column, less what the others explain
     noise = acceleration_noise(problem.record, problem.filtered.band_hz) * int(problem.used.sum())
     square[0, 0] -= min(noise, MOST_NOISE * own)
     without = np.linalg.solve(square, problem.W.T @ problem.Y)
-    return Estimated(problem.parameters(fit.value), residual_statistics(problem, fit)[0].std, without - fit.value)
+    return without - solution.fit.value
 
 
-def _compare_with_hold(
-    problem: Regression, fit: LeastSquares, cutoff: float
-) -> tuple[Identification | None, np.ndarray | None]:
-    """Identification by the ``hold`` chain, and the error (p,) of ``fit`` against it; of a long record the first part.
+def _compare_with_hold(solution: Solution, cutoff: float) -> tuple[Identification | None, np.ndarray | None]:
+    """Identification by the ``hold`` chain, and the error (p,) of a ``solution`` against it; of a long record the
+    first part.
 
     None where too little of the record is away from rest for that chain.
     """
+    problem, fit = solution.problem, solution.fit
     part = first_part(problem.record)
     if part is not problem.record:
         fit = problem.alike(part).solved()
     try:
         judge = Regression.of(part, problem.axis, problem.model, cutoff=cutoff)
-        better = assemble(judge, judge.solved(), "least_squares")
+        better = assemble(Solution.of(judge), "least_squares")
     except (RecordError, RankError):
         return None, None
     return better, fit.value - better.solution()
 
 
-def _held_out(problem: Regression, fit: LeastSquares, request: IdentificationRequest) -> dict[str, Any] | None:
+def _held_out(solution: Solution, request: IdentificationRequest) -> dict[str, Any] | None:
     """Force error on held-out data: another record, or the last third; None where the rest alone has no solution."""
+    problem, fit = solution.problem, solution.fit
     if request.holdout is not None:
         other = problem.alike(force_free(request.holdout, problem.axis, request.external_force))
         return _force_error(request.holdout.name, other.Y - other.W @ fit.value, other.Y, other.used)
@@ -238,8 +238,6 @@ def _identified(record: Record, axis: Axis, request: IdentificationRequest) -> I
     estimate = BY[request.estimator]
     if not request.simulates or axis.controller.kind != NONE or not record.has_reference or len(record) > LONG:
         return estimate(record, axis, request)
-    from emps_design.identification.own_law import with_own_law
-
     with_law, remark = with_own_law(record, axis)
     identification = estimate(record, with_law or axis, request)
     # The axis keeps its own controller table: the command `law` writes the identified one.
@@ -248,6 +246,27 @@ def _identified(record: Record, axis: Axis, request: IdentificationRequest) -> I
         axis=identification.axis.replace(controller=axis.controller),
         warnings=(*identification.warnings, remark),
     )
+
+
+def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, Message]:
+    """The ``axis`` with the controller identified from ``record``, None where there is none, and a message on it.
+
+    >>> import numpy as np
+    >>> from emps_design.machines import machine
+    >>> ramp, n = np.linspace(0.0, 0.1, 500), np.arange(500.0)
+    >>> driven_by_something_else = Record.from_arrays(1e-3, ramp, ramp, np.sin(n**2))
+    >>> with_own_law(driven_by_something_else, machine("emps2019"))[0] is None
+    True
+    """
+    from emps_design.identification.controller import identify_law
+
+    law = identify_law(record, axis.units)
+    if law.controller is None:
+        text = f"{axis.name} has no controller, and none is identified from the record: {law.reason}"
+        return None, warning("no-law", text)
+    with_law = Axis.from_dict({**axis.to_dict(), "controller": law.controller}, axis.name)
+    text = f"{axis.name} has no controller; the one of the record was used ({law.in_words}); law writes it"
+    return with_law, warning("law-of-the-record", text)
 
 
 def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:

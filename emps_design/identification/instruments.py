@@ -14,13 +14,12 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import AxisError
-from emps_design.identification.assemble import Errors, Estimated, assemble, cutoff_sensitivity, residual_statistics
-from emps_design.identification.chains import hold_chain
+from emps_design.identification.assemble import Errors, Solution, assemble, cutoff_sensitivity
+from emps_design.identification.chains import first_part, hold_chain
 from emps_design.identification.excitation import REFUSE, check_record
-from emps_design.identification.inverse_model import LeastSquares, first_part, least_squares, regression
-from emps_design.identification.model import Model
+from emps_design.identification.inverse_model import LeastSquares, Regression, least_squares, notes, regression
+from emps_design.identification.model import Model, known_part
 from emps_design.identification.output_error import error_of_steps, simulate
-from emps_design.identification.problem import Regression, known_part, notes
 from emps_design.identification.result import Identification
 from emps_design.identification.statistics import long_run
 from emps_design.laws import NONE
@@ -69,43 +68,38 @@ class HausmanTest:
 
 @dataclass(frozen=True)
 class InstrumentalFit:
-    """The fit by instruments ``Z`` (n, p) from the record ``simulated`` from the reference; ``start``: least squares.
+    """The ``solution`` by instruments from the record ``simulated`` from the reference; ``start``: least squares.
 
     The test costs little; deviations and intervals are computed by :meth:`identification` only.
     """
 
-    problem: Regression
+    solution: Solution
     start: LeastSquares
-    fit: LeastSquares
-    Z: np.ndarray
     simulated: Record
     test: HausmanTest
 
     def identification(self) -> Identification:
         """The fit with its statistics, and its sensitivity to the encoder's steps and to the cut-off."""
-        problem, fit, Z = self.problem, self.fit, self.Z
+        problem = self.solution.problem
         record, axis, model = problem.record, problem.axis, problem.model
 
         def of_steps(rounded: Record, exact: Record) -> np.ndarray:
             again = problem.alike(rounded)
-            return _solved(_columns(exact, again), again).value
+            return _solved(_columns(exact, again), again).fit.value
 
-        def at(frequency: float) -> Estimated:
+        def at(frequency: float) -> Solution:
             other = Regression.of(record, axis, model, cutoff=frequency)
-            columns = _columns(self.simulated, other)
-            shifted = _solved(columns, other)
-            return Estimated(other.parameters(shifted.value), residual_statistics(other, shifted, columns)[0].std)
+            return _solved(_columns(self.simulated, other), other)
 
-        own = Estimated(problem.parameters(fit.value), residual_statistics(problem, fit, Z)[0].std)
         errors = Errors(
-            encoder=error_of_steps(first_part(record), axis, model, fit.value, of_steps),
-            cutoff=cutoff_sensitivity(problem.names, own, problem.filtered.band_hz, record.period, at),
+            encoder=error_of_steps(first_part(record), axis, model, self.solution.fit.value, of_steps),
+            cutoff=cutoff_sensitivity(self.solution, at),
         )
         extra = {
-            "least_squares": problem.model.natural(self.start.value),
+            "least_squares": model.natural(self.start.value),
             "hausman_test": self.test.to_dict(),
         }
-        return assemble(problem, fit, "instrumental_variables", Z, errors, notes(axis), extra, WEAK_INSTRUMENT)
+        return assemble(self.solution, "instrumental_variables", errors, notes(axis), extra, WEAK_INSTRUMENT)
 
 
 def identify_with_instruments(
@@ -140,20 +134,18 @@ def solve_with_instruments(
     record = check_record(record, axis, external_force)
     axis = known_part(axis, model)
     problem = Regression.of(record, axis, model, cutoff=cutoff)
-    model, start = problem.model, problem.solved()
-    spread, _ = residual_statistics(problem, start)
-    value, fit, Z, simulated = start.value, start, problem.W, record
+    start = Solution.of(problem)
+    std, first, value = start.spread.std, start.fit, start.fit.value
     for _ in range(ITERATIONS):
-        run = simulate(record, axis, model, value)
+        run = simulate(record, axis, problem.model, value)
         simulated = replace(record, q=run.position, u=run.u)
-        Z = _columns(simulated, problem)
-        fit = _solved(Z, problem)
-        change = np.max(np.abs(fit.value - value) / spread.std)
-        value = fit.value
+        solution = _solved(_columns(simulated, problem), problem)
+        change = np.max(np.abs(solution.fit.value - value) / std)
+        value = solution.fit.value
         if change < SETTLED:
             break
-    test = hausman_test(problem, Z, float(np.max(np.abs(value - start.value) / spread.std)))
-    return InstrumentalFit(problem, start, fit, Z, simulated, test)
+    test = hausman_test(solution, float(np.max(np.abs(value - first.value) / std)))
+    return InstrumentalFit(solution, first, simulated, test)
 
 
 def _columns(simulated: Record, problem: Regression) -> np.ndarray:
@@ -162,16 +154,17 @@ def _columns(simulated: Record, problem: Regression) -> np.ndarray:
     return Z * problem.used[:, None]
 
 
-def hausman_test(problem: Regression, Z: np.ndarray, shift: float) -> HausmanTest:
-    """Durbin-Wu-Hausman test by the augmented regression: W and the part of it that instruments Z (n, p) miss.
+def hausman_test(solution: Solution, shift: float) -> HausmanTest:
+    """Durbin-Wu-Hausman test by the augmented regression: W and the part of it that the instruments miss.
 
     ``shift`` is the largest difference between the two estimates, in standard deviations.
     """
     from scipy.stats import chi2
 
+    problem = solution.problem
     # Only rows as far apart as the band resolves: those between them are no independent evidence.
     steps = problem.filtered.resolved_steps
-    W, Y, Z, used = (array[::steps] for array in (problem.W, problem.Y, Z, problem.used))
+    W, Y, Z, used = (array[::steps] for array in (problem.W, problem.Y, solution.instruments, problem.used))
     basis = np.linalg.qr(Z)[0]
     missed = W - basis @ (basis.T @ W)
     kept = np.linalg.norm(missed, axis=0) > 1e-3 * np.linalg.norm(W, axis=0)
@@ -194,10 +187,11 @@ def hausman_test(problem: Regression, Z: np.ndarray, shift: float) -> HausmanTes
     return HausmanTest(statistic, missed.shape[1], float(chi2.sf(statistic, missed.shape[1])), shift)
 
 
-def _solved(Z: np.ndarray, problem: Regression) -> LeastSquares:
+def _solved(Z: np.ndarray, problem: Regression) -> Solution:
     """(Z^T W)^-1 Z^T Y in the shape of a least-squares fit, with the deviations for independent errors."""
     W, Y = problem.W, problem.Y
     bread = np.linalg.inv(Z.T @ W)
     value = bread @ (Z.T @ Y)
     condition, rows = float(np.linalg.cond(Z.T @ W) ** 0.5), int(problem.used.sum())
-    return LeastSquares.of(problem.names, value, bread @ (Z.T @ Z) @ bread.T, Y - W @ value, Y, rows, condition)
+    spread = bread @ (Z.T @ Z) @ bread.T
+    return Solution(problem, LeastSquares.of(problem.names, value, spread, Y - W @ value, Y, rows, condition), Z)

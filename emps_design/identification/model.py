@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from emps_design.axis import BASELINE
-from emps_design.effects import Motion
+from emps_design.axis import BASELINE, Axis
+from emps_design.effects import Motion, known_effects
 from emps_design.effects.terms import ANGLE, BENT, GRAVITY, HIGHEST, LOWEST, POWER, TERMS
 from emps_design.errors import InputError, nearest_name
 from emps_design.messages import Message, grave
@@ -208,3 +209,51 @@ def column(motion: Motion, name: str) -> np.ndarray:
     if name == "constant_force":
         return np.broadcast_to(1.0, len(v))
     raise InputError(f"column: found {name!r}, expected a parameter of {' or '.join(MODELS)}")
+
+
+def baseline_columns(motion: Motion) -> np.ndarray:
+    """Columns of mass, viscous, coulomb and constant force, shape (n, 4): ``columns @ b`` is the baseline's force.
+
+    >>> still = Motion(*(np.zeros(3) for _ in range(5)), period=1.0)
+    >>> baseline_columns(still)[0].tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    return np.column_stack(list(Model().columns(motion)))
+
+
+def with_predicted_force(motion: Motion, baseline: np.ndarray) -> Motion:
+    """Return ``motion`` with ``tau`` as the baseline array ``b`` (mass, viscous, coulomb, offset) predicts it."""
+    return replace(motion, tau=baseline_columns(motion) @ np.asarray(baseline, dtype=float))
+
+
+def known_part(axis: Axis, model: str | Model) -> Axis:
+    """The axis without the effects that ``model`` identifies itself.
+
+    >>> from emps_design.machines import machine
+    >>> [len(known_part(machine("emps2018-two-quadrant"), model).effects) for model in ("symmetric", "asymmetric")]
+    [1, 0]
+    """
+    own = _parts(model)
+    return axis.replace(
+        effects=[entry for entry in axis.effects if not own.intersection(entry.effect.estimation.identified_by)]
+    )
+
+
+def identified_effects(model: str | Model, p: Mapping[str, float]) -> list[dict[str, Any]]:
+    """The effects that the parameters ``p`` of ``model`` describe, as tables of an axis.
+
+    >>> identified_effects("asymmetric", {"viscous_positive": 5.0, "viscous_negative": 3.0})
+    [{'kind': 'asymmetric_viscous_friction', 'viscous_difference': 1.0}]
+    """
+    own = _parts(model)
+    return [
+        {"kind": effect.name, **effect.estimation.identified_by[part](p)}
+        for effect in known_effects().values()
+        for part in effect.estimation.identified_by
+        if part in own
+    ]
+
+
+def _parts(model: str | Model) -> set[str]:
+    model = Model.of(model)
+    return {model.friction, *model.terms}

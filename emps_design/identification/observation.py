@@ -19,7 +19,6 @@ from emps_design.identification.excitation import KNOWN
 from emps_design.identification.filters import SLOW, held_force, motion, share_of_nyquist
 from emps_design.identification.identify import identify
 from emps_design.identification.result import Identification
-from emps_design.identification.view import observation_view
 from emps_design.messages import Message, note, warning
 from emps_design.observer import (
     DEFAULT_CUTOFF_HZ,
@@ -36,9 +35,10 @@ from emps_design.observer import (
     smallest_observable_force,
 )
 from emps_design.progress import Progress, no_progress, of_part
+from emps_design.quantities import rounded
 from emps_design.records import Record
 from emps_design.units import Units
-from emps_design.view import View, Viewed
+from emps_design.view import Line, Table, View, Viewed
 
 NEAR_AN_EDGE = 0.1  # s, on both sides
 
@@ -185,8 +185,32 @@ class Observation(Viewed):
         }
 
     def view(self) -> View:
-        """What a terminal and a notebook show of it."""
-        return observation_view(self.to_dict(), self.units)
+        """Delay of each method, its errors against a known force, and the smallest force that it shows."""
+        methods, force, unit = self.methods, self.units.words("force"), self.units.unit("N")
+        first = next(iter(methods.values()))
+        known, least = first.rms_error is not None, first.smallest.to_dict()
+        judged = (f"rms error [{unit}]", f"away from edges [{unit}]", "rise [ms]", "plateau") if known else ()
+        rows = [
+            (name, f"{1e3 * result.delay:.2f}", *(_errors(result) if known else ())) for name, result in methods.items()
+        ]
+        spans = (f"{name} {r.reliable[0]:.3f} to {r.reliable[1]:.3f} s" for name, r in methods.items())
+        against = f"errors: from {first.judged[0]:.2f} to {first.judged[1]:.2f} s, against the {force} of the moment"
+        return (
+            Table(
+                ("method", "delay [ms]", *judged),
+                rows,
+                f"External {force} of {self.record}, axis {self.axis}",
+            ),
+            Line(f"known from and to, filters settle before and after: {', '.join(spans)}"),
+            *([Line(against)] if known else []),
+            Table(
+                ("method", force, "set by", *map(_word, least["bounds"])),
+                [(name, *_smallest(result.smallest)) for name, result in methods.items()],
+                f"Smallest observable {force} [{unit}], and what bounds it",
+                words=("set by",),
+            ),
+            *(Line(f"{_word(bound)}: {reason}") for bound, reason in least["reasons"].items()),
+        )
 
 
 def observe(
@@ -363,3 +387,23 @@ def _judge(
         smallest=smallest_observable_force(axis, noise, parameter),
         settings=settings,
     )
+
+
+def _errors(result: MethodResult) -> tuple[str, str, str, str]:
+    """The errors of a method against a known force; "" where there are none."""
+    steps = result.steps
+    return (
+        "" if result.rms_error is None else rounded(result.rms_error),
+        "" if steps is None else rounded(steps.rms_error_away_from_edges),
+        "" if steps is None or steps.rise_time is None else f"{1e3 * steps.rise_time:.1f}",
+        "" if steps is None else f"{steps.plateau_error_percent:+.2f} %",
+    )
+
+
+def _smallest(least: SmallestForce) -> tuple[str, ...]:
+    """The smallest force, the name of what sets it, and every bound."""
+    return (rounded(least.value), _word(least.bound), *map(rounded, least.bounds.values()))
+
+
+def _word(bound: str) -> str:
+    return bound.replace("_", "-")

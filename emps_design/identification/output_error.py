@@ -21,22 +21,20 @@ from emps_design.axis import Axis, Mechanics
 from emps_design.errors import AxisError, EmpsError, InputError, RankError, RecordError, SimulationError
 from emps_design.identification.assemble import (
     Errors,
-    Estimated,
+    Solution,
     assemble,
     cutoff_sensitivity,
     implausible,
-    residual_statistics,
 )
-from emps_design.identification.chains import hold_chain
+from emps_design.identification.chains import chosen_cutoff, hold_chain
 from emps_design.identification.excitation import REFUSE, check_record
 from emps_design.identification.filters import low_pass
-from emps_design.identification.inverse_model import LeastSquares, chosen_cutoff, least_squares, regression
-from emps_design.identification.model import Model
-from emps_design.identification.problem import Regression, acting, identified_effects, known_part, notes, settled
+from emps_design.identification.inverse_model import LeastSquares, Regression, least_squares, notes, regression, settled
+from emps_design.identification.model import Model, identified_effects, known_part
 from emps_design.identification.result import Identification
 from emps_design.laws import NONE
 from emps_design.messages import Message, warning
-from emps_design.observer import motor_force
+from emps_design.observer import motor_force, with_acting_command
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 from emps_design.simulation.request import ClosedLoopRun
@@ -145,7 +143,7 @@ def identify_by_output_error(
     model = Model.of(model)
     axis = known_part(axis, model)
     if cutoff is None:
-        cutoff = chosen_cutoff(acting(record, axis))
+        cutoff = chosen_cutoff(with_acting_command(axis, record)[0])
     problem, start, remarks = _problem(record, axis, model, cutoff)
     model = problem.model
     measured = motor_force(axis, record)
@@ -157,7 +155,8 @@ def identify_by_output_error(
         return _rows(force_error(parameters), problem)
 
     value, residual, jacobian = _minimise(filtered_error, start, model, record.name)
-    problem, fit = _linear(problem, jacobian, residual, value)
+    solution = _linear(problem, jacobian, residual, value)
+    problem, fit = solution.problem, solution.fit
     off = low_pass(record.q - simulate(record, axis, model, value).position, cutoff, record.period)
     edge = int(1.0 / (cutoff * record.period))  # samples at each end in which the filter extrapolates
     extra = {
@@ -175,20 +174,18 @@ def identify_by_output_error(
     error = force_error(value)
     slopes = _jacobian(force_error, value, error, model).T
 
-    def at(frequency: float) -> Estimated:
+    def at(frequency: float) -> Solution:
         """One Gauss-Newton step from the estimate; error and derivatives filtered at ``frequency`` [Hz]."""
         other, _, _ = _problem(record, axis, model, frequency)
         columns, target = np.column_stack([_rows(slope, other) for slope in slopes]), _rows(error, other)
         step = least_squares(columns, target, other.names, other.used, axis.units)
-        linear, shifted = _linear(other, columns, step.residual, value + step.value)
-        return Estimated(other.parameters(shifted.value), residual_statistics(linear, shifted)[0].std)
+        return _linear(other, columns, step.residual, value + step.value)
 
-    own = Estimated(problem.parameters(value), residual_statistics(problem, fit)[0].std)
     errors = Errors(
         encoder=error_of_steps(record, axis, model, value, of_steps),
-        cutoff=cutoff_sensitivity(problem.names, own, cutoff, record.period, at),
+        cutoff=cutoff_sensitivity(solution, at),
     )
-    identification = assemble(problem, fit, "output_error", None, errors, remarks, extra, weakest=0.0)
+    identification = assemble(solution, "output_error", errors, remarks, extra, weakest=0.0)
     return replace(
         identification, series={**identification.series, "measured": problem.Y, "model": problem.Y - residual}
     )
@@ -218,14 +215,12 @@ def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[R
         return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), remarks
 
 
-def _linear(
-    problem: Regression, jacobian: np.ndarray, residual: np.ndarray, value: np.ndarray
-) -> tuple[Regression, LeastSquares]:
+def _linear(problem: Regression, jacobian: np.ndarray, residual: np.ndarray, value: np.ndarray) -> Solution:
     """The ``problem`` with the derivatives (n, p) as its columns, and its solution ``value`` (p,)."""
     spread, condition = np.linalg.inv(jacobian.T @ jacobian), float(np.linalg.cond(jacobian))
     force, rows = problem.filtered.force * problem.used, int(problem.used.sum())
     fit = LeastSquares.of(problem.names, value, spread, residual, force, rows, condition)
-    return replace(problem, W=jacobian, Y=force), fit
+    return Solution(replace(problem, W=jacobian, Y=force), fit)
 
 
 def _rows(force: np.ndarray, problem: Regression) -> np.ndarray:

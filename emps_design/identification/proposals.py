@@ -24,15 +24,15 @@ from emps_design.axis import Axis
 from emps_design.effects.effect import VISCOUS
 from emps_design.effects.terms import BENT, HIGHEST, LOWEST, TERMS
 from emps_design.errors import RecordError
-from emps_design.identification.chains import LONG
+from emps_design.identification.chains import LONG, Filtered, chosen_cutoff, filter_record, first_part
 from emps_design.identification.excitation import check_record, follows
 from emps_design.identification.filters import motion
-from emps_design.identification.inverse_model import Filtered, chosen_cutoff, first_part, regression
-from emps_design.identification.model import Model, powered
-from emps_design.identification.problem import Regression, acting, filter_record, known_part
+from emps_design.identification.inverse_model import Regression, regression
+from emps_design.identification.model import Model, known_part, powered
 from emps_design.identification.result import IdentificationRequest
 from emps_design.identification.statistics import LongRun
 from emps_design.messages import Message, wrong
+from emps_design.observer import with_acting_command
 from emps_design.records import Record
 from emps_design.stretches import stretches
 from emps_design.units import LINEAR, Units
@@ -190,7 +190,9 @@ def proposed_for(record: Record, axis: Axis, request: IdentificationRequest) -> 
     """The terms that ``record`` calls for, at the cut-off of ``request`` or the one chosen from the record."""
     axis = known_part(axis.supplied_by(record), request.model)
     record = check_record(record, axis, request.external_force)
-    cutoff = chosen_cutoff(acting(record, axis)) if request.cutoff is None else request.cutoff
+    cutoff = request.cutoff
+    if cutoff is None:
+        cutoff = chosen_cutoff(with_acting_command(axis, record)[0])
     return proposed_terms(record, axis, request.model, cutoff)
 
 

@@ -20,13 +20,16 @@ from emps_design.identification.result import (
     DEFAULTS,
     Identification,
     IdentificationRequest,
+    label,
+    parameter_names,
+    proposed_line,
 )
-from emps_design.identification.view import several_view
 from emps_design.messages import Message, warning
+from emps_design.quantities import decimals
 from emps_design.records import Record
 from emps_design.records.record import joined
 from emps_design.request import takes
-from emps_design.view import View, Viewed
+from emps_design.view import Line, Table, View, Viewed
 
 DRIFT_LEVEL = 0.01
 OUTPUT_ERROR = "output_error"
@@ -125,8 +128,38 @@ class SeveralIdentifications(Viewed):
         return replace(first, record=f"mean of {len(self.records)} records", sha256="", parameters=parameters)
 
     def view(self) -> View:
-        """What a terminal and a notebook show of it."""
-        return several_view(self.to_dict(), self.axis.units)
+        """Means over the records, their spread and drift, and the force error of each record's parameters on each."""
+        document, units = self.to_dict(), self.axis.units
+        own, names = parameter_names(document["proposed"]), document["records"]
+        rows = []
+        for name, row in document["parameters"].items():
+            places = decimals(max(abs(row["mean"]), row["std"]))
+            mean, spread, std = (f"{row[key]:.{places}f}" for key in ("mean", "spread", "std"))
+            mark = " **" if row["drift_significant"] else ""
+            drift = None if row["drift"] is None else f"{row['drift']:+.{places}f}{mark}"
+            rows.append((label(name, own, units), mean, spread, std, drift, row["unit"]))
+        judged = [
+            (f"{number} {name}", *(f"{error:.3f}" for error in errors))
+            for number, (name, errors) in enumerate(zip(names, document["cross_validation"], strict=True), 1)
+        ]
+        unit = document["cross_validation_unit"]
+        return (
+            Table(
+                ("parameter", "mean", "spread", "std *", "drift/record", "unit"),
+                rows,
+                f"{len(names)} records, {document['model']} model, {document['estimator'].replace('_', ' ')}",
+            ),
+            *proposed_line(document["proposed"]),
+            Line(
+                "spread: std between records; std *: mean within one, for a correlated residual; drift **: p < 1 % "
+                "over all parameters together"
+            ),
+            Table(
+                ("", *(str(number) for number in range(1, len(names) + 1))),
+                judged,
+                f"{units.words('force')} error [{unit} rms]: identified on the row's record, judged on the column's",
+            ),
+        )
 
     def to_axis(self, name: str | None = None) -> Axis:
         """The axis with the mean parameters."""

@@ -76,11 +76,10 @@ def long_run(
     n = int(used.sum())
     if n < ROWS_PER_ORDER:
         raise InputError(f"statistics: found {n} usable rows, expected at least {ROWS_PER_ORDER}; record longer")
-    sample = _autocovariance(residual, n)
-    pairs = _autocovariance(used.astype(float), n)  # share of the rows with a used partner at each lag
-    order = min(
-        range(1, min(LARGEST_ORDER, n // ROWS_PER_ORDER) + 1), key=lambda p: n * np.log(_innovation(sample, p)) + 2 * p
-    )
+    sample = autocovariance(residual, n)
+    pairs = autocovariance(used.astype(float), n)  # share of the rows with a used partner at each lag
+    orders = range(1, min(LARGEST_ORDER, n // ROWS_PER_ORDER) + 1)
+    order = min(orders, key=lambda p: n * np.log(autoregression(sample, p)[1]) + 2 * p)
     model = _model(sample, order, len(residual))
     basis, sample_of_noise = np.linalg.qr(W)[0], sample
     for _ in range(CORRECTIONS):
@@ -150,13 +149,13 @@ def residual_bootstrap(
     from arch.bootstrap import StationaryBootstrap
     from scipy.signal import lfilter
 
-    phi = _coefficients(spread.autocovariance, spread.order)
+    phi, variance = autoregression(spread.autocovariance, spread.order)
     whiten = np.concatenate([[1.0], -phi])
     # Only rows whose predecessors in the model were all used.
     whole = np.convolve(~used, np.ones(spread.order + 1))[: len(used)] < 0.5
     innovations = lfilter(whiten, [1.0], residual)[whole]
     innovations -= innovations.mean()
-    innovations *= np.sqrt(_innovation(spread.autocovariance, spread.order) / np.mean(innovations**2))
+    innovations *= np.sqrt(variance / np.mean(innovations**2))
     solve = np.linalg.solve(W.T @ W, W.T)
     source = StationaryBootstrap(LARGEST_ORDER, innovations, seed=seed)
     settled = len(_model(spread.autocovariance, spread.order, len(residual)))
@@ -171,9 +170,15 @@ def residual_bootstrap(
     return np.cov(np.array(estimates), rowvar=False)
 
 
-def _autocovariance(residual: np.ndarray, n: int) -> np.ndarray:
-    # Divided by n at every lag: slightly biased towards zero, but always that of a stationary process.
-    return np.array([residual[: len(residual) - lag] @ residual[lag:] for lag in range(LAGS)]) / n
+def autocovariance(signal: np.ndarray, n: int, lags: int = LAGS) -> np.ndarray:
+    """Autocovariance (lags,) of ``signal``, of whose samples ``n`` count and the others are zero.
+
+    Divided by n at every lag: slightly biased towards zero, but always that of a stationary process.
+
+    >>> autocovariance(np.array([1.0, 2.0, 3.0]), 3, 2).round(2).tolist()
+    [4.67, 2.67]
+    """
+    return np.array([signal[: len(signal) - lag] @ signal[lag:] for lag in range(lags)]) / n
 
 
 def _absorbed(model: np.ndarray, basis: np.ndarray, used: np.ndarray, n: int) -> np.ndarray:
@@ -189,28 +194,32 @@ def _absorbed(model: np.ndarray, basis: np.ndarray, used: np.ndarray, n: int) ->
     return np.array(taken) / n
 
 
-def _coefficients(autocovariance: np.ndarray, order: int) -> np.ndarray:
+def autoregression(covariance: np.ndarray, order: int) -> tuple[np.ndarray, float]:
+    """Coefficients (order,) of the autoregressive model with this autocovariance, and its innovations' variance.
+
+    By the equations of Yule and Walker.
+
+    >>> coefficients, variance = autoregression(np.array([2.0, 1.0]), 1)
+    >>> coefficients.tolist(), variance
+    ([0.5], 1.5)
+    """
     from scipy.linalg import solve_toeplitz
 
-    return solve_toeplitz(autocovariance[:order], autocovariance[1 : order + 1])
+    phi = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
+    predicted = phi @ covariance[1 : order + 1]
+    return phi, max(float(covariance[0] - predicted), 1e-12 * float(covariance[0]) + 1e-300)
 
 
-def _innovation(autocovariance: np.ndarray, order: int) -> float:
-    """Variance of the innovations of an autoregressive model of ``order``."""
-    predicted = _coefficients(autocovariance, order) @ autocovariance[1 : order + 1]
-    return max(float(autocovariance[0] - predicted), 1e-12 * float(autocovariance[0]) + 1e-300)
-
-
-def _model(autocovariance: np.ndarray, order: int, n: int) -> np.ndarray:
+def _model(covariance: np.ndarray, order: int, n: int) -> np.ndarray:
     """Autocovariance of the autoregressive model, up to where it is negligible; ArithmeticError if not stationary."""
     from scipy.signal import lfilter, lfiltic
 
-    phi = _coefficients(autocovariance, order)
+    phi, _ = autoregression(covariance, order)
     slowest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -phi])))))
     if not slowest < 1.0:
         raise ArithmeticError("not stationary")
     length = int(min(n, max(order + 1, np.ceil(np.log(NEGLIGIBLE) / np.log(max(slowest, 1e-3))))))
-    known = autocovariance[:order]
+    known = covariance[:order]
     denominator = np.concatenate([[1.0], -phi])
     state = lfiltic([1.0], denominator, known[::-1])
     rest, _ = lfilter([1.0], denominator, np.zeros(max(length - order, 0)), zi=state)

@@ -20,8 +20,8 @@ from emps_design.axis import Axis
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.effects import Effect, Parameter, get_effect
 from emps_design.errors import InputError, nearest_name
-from emps_design.identification.chains import paper_chain
-from emps_design.identification.inverse_model import Filtered, regression
+from emps_design.identification.chains import Filtered, paper_chain
+from emps_design.identification.inverse_model import regression
 from emps_design.identification.observation import direct_validation
 from emps_design.identification.result import Identification
 from emps_design.identification.several import SeveralIdentifications, identify_several

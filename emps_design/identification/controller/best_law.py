@@ -96,10 +96,10 @@ def longest_between(limited: np.ndarray) -> slice:
     return slice(int(ends[2 * longest]), int(ends[2 * longest + 1])) if ends.size else slice(0, 0)
 
 
-def acting(command: np.ndarray, wanted: np.ndarray, noise: float) -> tuple[np.ndarray, float | None]:
+def limited_samples(command: np.ndarray, wanted: np.ndarray, noise: float) -> tuple[np.ndarray, float | None]:
     """Mask (n,) of the samples in which the limit acts, and the limit; ``wanted`` (n,) is the law's unlimited command.
 
-    >>> acting(np.array([1.0, 2.0] + [3.0] * 9), np.array([1.0, 2.0] + [4.0] * 9), 0.01)[1]
+    >>> limited_samples(np.array([1.0, 2.0] + [3.0] * 9), np.array([1.0, 2.0] + [4.0] * 9), 0.01)[1]
     3.0
     """
     beyond = (np.abs(wanted) > np.abs(command) + NOISE * noise) & (np.abs(command) > 0.9 * np.abs(command).max())
@@ -403,7 +403,7 @@ def _fit_below_limit(
     loose = fit(apart, start)
     wanted = _unlimited_command(apart, loose, None)
     noise = robust_deviation((signals.command - wanted)[apart.used])
-    limited, limit = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
+    limited, limit = limited_samples(signals.command, np.where(signals.used, wanted, 0.0), noise)
     if limit is None:
         return signals, fit(signals, start), None, None, True
     best: tuple[ControllerSignals, LawFit, np.ndarray, float, bool] | None = None
@@ -417,7 +417,7 @@ def _fit_below_limit(
             best = free, fitted, limited, limit, holds
         wanted = _unlimited_command(free, fitted, limited if holds else None)
         noise = robust_deviation((signals.command - wanted)[free.used])
-        now, level = acting(signals.command, np.where(signals.used, wanted, 0.0), noise)
+        now, level = limited_samples(signals.command, np.where(signals.used, wanted, 0.0), noise)
         if level is None or np.array_equal(now, limited):
             break
         limited, limit = now, level

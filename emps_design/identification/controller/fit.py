@@ -15,11 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
@@ -33,7 +32,7 @@ from emps_design.identification.controller.regressors import (
     regressors,
     sought,
 )
-from emps_design.identification.statistics import hac_covariance
+from emps_design.identification.statistics import autocovariance, autoregression, hac_covariance
 from emps_design.laws.estimators import NUMBERS, Estimator
 
 # Bounds of a fitted filter. Beyond half the sampling frequency a low-pass has no visible effect.
@@ -138,7 +137,7 @@ def _bounds(kind: str, period: float) -> tuple[tuple[float, float], ...]:
     return (lowest, highest), (float(np.log(DAMPING[0])), float(np.log(DAMPING[1]))), DEPTH
 
 
-def moved(filters: tuple[CommandFilter, ...], steps: np.ndarray, period: float) -> tuple[CommandFilter, ...]:
+def moved_filters(filters: tuple[CommandFilter, ...], steps: np.ndarray, period: float) -> tuple[CommandFilter, ...]:
     """The ``filters`` with their numbers changed by ``steps``, kept within their bounds at this ``period`` [s]."""
     remaining, done = iter(steps), []
     for stage in filters:
@@ -158,15 +157,24 @@ def filtered(filters: tuple[CommandFilter, ...], columns: np.ndarray, period: fl
 
 def derivatives(filters: tuple[CommandFilter, ...], x: np.ndarray, period: float) -> np.ndarray:
     """Derivatives of the filtered ``x`` (n,) with respect to each fitted number, (n, n_numbers)."""
-    columns = []
-    for i, stage in enumerate(filters):
-        for j, number in enumerate(stage.numbers):
-            ends = []
-            for step in (FILTER_STEP, -FILTER_STEP):
-                moved = CommandFilter(stage.kind, (*stage.numbers[:j], number + step, *stage.numbers[j + 1 :]))
-                ends.append(filtered((*filters[:i], moved, *filters[i + 1 :]), x, period))
-            columns.append((ends[0] - ends[1]) / (2 * FILTER_STEP))
+
+    def at(step: float, i: int, j: int) -> np.ndarray:
+        kind, numbers = filters[i].kind, list(filters[i].numbers)
+        numbers[j] += step
+        return filtered((*filters[:i], CommandFilter(kind, tuple(numbers)), *filters[i + 1 :]), x, period)
+
+    places = [(i, j) for i, stage in enumerate(filters) for j in range(len(stage.numbers))]
+    columns = [slope(partial(at, i=i, j=j), FILTER_STEP) for i, j in places]
     return np.column_stack(columns) if columns else np.zeros((x.size, 0))
+
+
+def slope(function: Callable[[float], np.ndarray], step: float) -> np.ndarray:
+    """Derivative of a ``function`` at 0, by a central difference.
+
+    >>> slope(lambda x: np.array([x**2 + 3.0 * x]), 0.5).tolist()
+    [3.0]
+    """
+    return (function(step) - function(-step)) / (2.0 * step)
 
 
 @dataclass(frozen=True)
@@ -204,16 +212,19 @@ class LawFit:
         return bool(self.structure.stabilising(self.linear))
 
     @property
+    def part(self) -> dict[str, float]:
+        """The linear coefficients by the names of :attr:`LawStructure.linear`."""
+        return dict(zip(self.structure.linear, self.linear.tolist(), strict=True))
+
+    @property
     def gain(self) -> float:
         """Gain of the velocity loop, 0 where there is none."""
-        part = dict(zip(self.structure.linear, self.linear, strict=True))
-        return float(part.get("following", 0.0) + part.get("damping", 0.0))
+        return self.part.get("following", 0.0) + self.part.get("damping", 0.0)
 
     @property
     def position_rate(self) -> float:
         """Gain of the position loop [1/s], 0 where it or the velocity loop is missing."""
-        part = dict(zip(self.structure.linear, self.linear, strict=True))
-        return float(part.get("position", 0.0)) / self.gain if self.gain else 0.0
+        return self.part.get("position", 0.0) / self.gain if self.gain else 0.0
 
     @property
     def beta(self) -> np.ndarray:
@@ -255,42 +266,34 @@ def solve(
     """Best integral rate ``within`` bounds [1/s], linear coefficients, steps of the filters' numbers, squares left."""
     table = c.table * c.norms
 
-    def scaled(wi: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        columns = table @ structure.combination(wi)
-        slopes = np.broadcast_to(c.slopes, (*columns.shape[:-1], c.slopes.shape[1]))
-        columns = np.concatenate([columns, slopes], axis=-1)
-        scale = np.linalg.norm(columns, axis=-2)
-        scale[scale == 0.0] = 1.0
-        return columns / scale[..., None, :], scale
-
     def at(wi: float) -> tuple[float, np.ndarray, np.ndarray]:
-        columns, scale = scaled(wi)
+        columns = np.column_stack([table @ structure.combination(wi), c.slopes])
+        scale = np.linalg.norm(columns, axis=0)
+        scale[scale == 0.0] = 1.0
+        columns = columns / scale
         coefficients = np.linalg.lstsq(columns, c.target, rcond=RANK)[0]
         residual, coefficients = c.target - columns @ coefficients, coefficients / scale
         width = len(coefficients) - c.slopes.shape[1]
-        return float(residual @ residual) + c.rest, coefficients[:width], coefficients[width:]
-
-    def squares_by_rate(rates: np.ndarray) -> np.ndarray:
-        """Residual squares (k,) for each of the ``rates``, without the constant rest; in one decomposition."""
-        sides, sizes, _ = np.linalg.svd(scaled(rates)[0], full_matrices=False)
-        reached = (sides.swapaxes(1, 2) @ c.target) * (sizes > RANK * sizes[:, :1])
-        return np.sum((c.target - (sides @ reached[..., None])[..., 0]) ** 2, axis=1)
+        return float(residual @ residual), coefficients[:width], coefficients[width:]
 
     if not structure.form:
-        cost, linear, steps = at(0.0)
-        return 0.0, linear, steps, cost
+        squares, linear, steps = at(0.0)
+        return 0.0, linear, steps, squares + c.rest
     low, high = within or (1e-3 / (c.samples * period), 0.3 / period)
     # Two scans, for there are two close minima where position loop and integral have nearly the same rate.
     for count in (SCAN, FINE_SCAN) if within is None else (FINE_SCAN,):
         tried = np.geomspace(low, high, count)
-        best = int(np.argmin(squares_by_rate(tried)))
+        best = int(np.argmin([at(wi)[0] for wi in tried.tolist()]))
         low, high = tried[max(best - 1, 0)], tried[min(best + 1, count - 1)]
     minimum = minimize_scalar(
-        lambda x: at(np.exp(x))[0], bounds=(np.log(low), np.log(high)), method="bounded", options={"xatol": 1e-9}
+        lambda x: at(np.exp(x))[0] + c.rest,
+        bounds=(np.log(low), np.log(high)),
+        method="bounded",
+        options={"xatol": 1e-9},
     )
     wi = float(np.exp(minimum.x))
-    cost, linear, steps = at(wi)
-    return wi, linear, steps, cost
+    squares, linear, steps = at(wi)
+    return wi, linear, steps, squares + c.rest
 
 
 def fit(
@@ -316,7 +319,7 @@ def fit(
             share *= SHORTER
             if share < SHORTEST or now.cost - best.cost < CONVERGED * best.cost:
                 break
-            trial, timing = all_moved(best.filters, best.timing, share * move, period)
+            trial, timing = moved_numbers(best.filters, best.timing, share * move, period)
             raw = regressors(signals, timing, limited)
             continue
         gained = np.inf if best is None else best.cost - now.cost
@@ -327,7 +330,7 @@ def fit(
         slopes = np.column_stack([slopes, *estimator_slope(signals, now, limited)])
         near = within or (wi / NEAR, wi * NEAR)
         move = np.clip(solve(compress(signals, columns, slopes), start.structure, period, near)[2], -LARGEST, LARGEST)
-        trial, timing = all_moved(trial, timing, move, period)
+        trial, timing = moved_numbers(trial, timing, move, period)
         raw = regressors(signals, timing, limited) if timing != now.timing else raw
     assert best is not None
     return best
@@ -338,14 +341,15 @@ def estimator_slope(signals: ControllerSignals, law: LawFit, limited: np.ndarray
     estimator, period = law.timing.velocity_estimator, signals.period
     if not (law.structure.velocity and sought(estimator)):
         return []
-    ends = []
-    for step in (STEP, -STEP):
+
+    def command(step: float) -> np.ndarray:
         timing = replace(law.timing, velocity_estimator=at_step(estimator, step, period))
-        ends.append(regressors(signals, timing, limited) @ law.beta)
-    return [filtered(law.filters, (ends[0] - ends[1]) / (2.0 * STEP), period)]
+        return regressors(signals, timing, limited) @ law.beta
+
+    return [filtered(law.filters, slope(command, STEP), period)]
 
 
-def all_moved(
+def moved_numbers(
     filters: tuple[CommandFilter, ...], timing: Timing, steps: np.ndarray, period: float
 ) -> tuple[tuple[CommandFilter, ...], Timing]:
     """Filters and estimator with their numbers changed by ``steps``; a last step is the estimator's."""
@@ -353,7 +357,7 @@ def all_moved(
     if steps.size > count:
         estimator = at_step(timing.velocity_estimator, float(steps[count]), period)
         timing = replace(timing, velocity_estimator=estimator)
-    return moved(filters, steps, period), timing
+    return moved_filters(filters, steps, period), timing
 
 
 def whitening_filter(residual: np.ndarray, used: np.ndarray) -> tuple[float, ...]:
@@ -366,13 +370,12 @@ def whitening_filter(residual: np.ndarray, used: np.ndarray) -> tuple[float, ...
     e = np.where(used, residual, 0.0)
     n = int(used.sum())
     longest = min(max(ORDERS), n // ROWS_PER_ORDER)
-    covariance = np.array([e[: len(e) - lag] @ e[lag:] for lag in range(longest + 1)]) / n
-    if not covariance[0] > 0.0:
+    sample = autocovariance(e, n, longest + 1)
+    if not sample[0] > 0.0:
         return (1.0,)
-    coefficients, best = (1.0,), n * np.log(covariance[0])
+    coefficients, best = (1.0,), n * np.log(sample[0])
     for order in (order for order in ORDERS if order <= longest):
-        phi = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
-        variance = max(covariance[0] - phi @ covariance[1 : order + 1], 1e-12 * covariance[0])
+        phi, variance = autoregression(sample, order)
         criterion = n * np.log(variance) + order * np.log(n)
         if criterion < best:
             coefficients, best = (1.0, *(-phi).tolist()), criterion
@@ -411,9 +414,8 @@ def covariance(signals: ControllerSignals, law: LawFit, limited: np.ndarray | No
     raw, period = regressors(signals, law.timing, limited), signals.period
     columns = raw @ law.structure.combination(law.wi)
     if law.structure.form:
-        step = DIFFERENCE * law.wi
-        ends = [law.structure.combination(law.wi + sign * step) for sign in (1.0, -1.0)]
-        columns = np.column_stack([columns, raw @ ((ends[0] - ends[1]) / (2.0 * step)) @ law.linear])
+        by_rate = slope(lambda step: law.structure.combination(law.wi + step), DIFFERENCE * law.wi)
+        columns = np.column_stack([columns, raw @ by_rate @ law.linear])
     columns = filtered(law.filters, columns, period)
     columns = np.column_stack([columns, derivatives(law.filters, raw @ law.beta, period)])
     columns = np.column_stack([columns, *estimator_slope(signals, law, limited)])
@@ -435,18 +437,14 @@ def with_deviations(
     law: LawFit, spread: np.ndarray, numbers: Callable[[LawFit], dict[str, float]]
 ) -> dict[str, tuple[float, float]]:
     """Each of the ``numbers`` of a fit with its deviation, from the ``spread`` of :func:`covariance`."""
-    values = numbers(law)
-    centre = _packed(law)
-    slopes = []
-    for i, at in enumerate(centre):
-        step = DIFFERENCE * max(abs(at), 1e-9 * float(np.max(np.abs(centre))))
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = centre.copy()
-            moved[i] += sign * step
-            ends.append(numbers(_unpacked(law, moved)))
-        slopes.append([(ends[0][name] - ends[1][name]) / (2.0 * step) for name in values])
-    table = np.array(slopes).T
+    values, centre = numbers(law), _packed(law)
+
+    def at(step: float, direction: np.ndarray) -> np.ndarray:
+        return np.array(list(numbers(_unpacked(law, centre + step * direction)).values()))
+
+    steps = DIFFERENCE * np.maximum(np.abs(centre), 1e-9 * np.max(np.abs(centre)))
+    directions = zip(np.eye(centre.size), steps.tolist(), strict=True)
+    table = np.array([slope(partial(at, direction=direction), step) for direction, step in directions]).T
     variance = np.einsum("ij,jk,ik->i", table, spread, table)
     deviations = np.sqrt(np.maximum(variance, 0.0)).tolist()
     return {name: (value, std) for (name, value), std in zip(values.items(), deviations, strict=True)}

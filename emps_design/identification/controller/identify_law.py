@@ -28,7 +28,7 @@ from emps_design.identification.controller.regressors import (
     WHOLE_LOOPS,
     ControllerSignals,
     Timing,
-    joined,
+    joined_signals,
     regressors,
 )
 from emps_design.identification.controller.wording import (
@@ -37,17 +37,17 @@ from emps_design.identification.controller.wording import (
     TIMES,
     TOLD,
     LawEstimate,
+    controller_table,
     described,
     deviations_of,
     disagreement,
     halves,
     how_far_apart,
     in_parts,
-    kind_of,
+    law_kind,
     notes_of,
     numbers_of,
     short,
-    table_of,
     times_allowed,
     too_much_left,
     unlike,
@@ -144,7 +144,7 @@ def _identified(several: list[Record], units: Units) -> LawEstimate:
         if isinstance(reading, str):
             return _not_told(name, units, reading if len(several) == 1 else f"{record.name}: {reading}")
     known = [reading for reading in read if not isinstance(reading, str)]
-    signals = joined(known)
+    signals = joined_signals(known)
     if several[0].measured is not None and there is None:
         if signals.velocity_reference:
             return _not_told(name, units, f"{IRREGULAR}, and that follows no velocity")
@@ -153,7 +153,7 @@ def _identified(several: list[Record], units: Units) -> LawEstimate:
         return _report(several, units, polled, None, parts, f"{IRREGULAR}: that ")
     best, steps = best_law(signals), None
     if not signals.velocity_reference and all(record.velocity_reference is not None for record in several):
-        inner = best_law(joined([_with_velocity_reference(*pair) for pair in zip(known, several, strict=True)]))
+        inner = best_law(joined_signals([_with_velocity_reference(*pair) for pair in zip(known, several, strict=True)]))
         if best.rms > INNER * inner.rms:
             best = inner
     if best.share > HOLDS and (stepless := without_steps(signals)) is not None:
@@ -265,7 +265,7 @@ def _report(
             f"most {100 * HOLDS:g} %: an open loop, another structure, or columns that are not the controller's own"
         )
         return _not_told(name, units, reason, **fields)
-    kind = kind_of(best.fit, velocity_reference)
+    kind = law_kind(best.fit, velocity_reference)
     if not kind:
         reason = f"the command follows a law that no kind of controller here has: {tried[0]['terms']}"
         return _not_told(name, units, reason, **fields)
@@ -280,7 +280,7 @@ def _report(
         reason = f"the record does not determine {', '.join(loose)}; record more motion"
         return _not_told(name, units, reason, **fields)
     values = {name: _rounded(value, std) for name, (value, std) in numbers.items()}
-    table = table_of(best.fit, velocity_reference, values, best.holds is not False)
+    table = controller_table(best.fit, velocity_reference, values, best.holds is not False)
     times = times_allowed(best)
     fields["allowed_rms"] = best.rms / times
     if times > TIMES:
@@ -289,9 +289,9 @@ def _report(
     if apart is not None:
         return _not_told(name, units, f"{in_parts(apart, several)}; no one law made all of it", closest=table, **fields)
     close = [law for law in best.rivals if law.criterion < best.fit.criterion + AS_GOOD]
-    close = [law for law in close if kind_of(law, velocity_reference)]
+    close = [law for law in close if law_kind(law, velocity_reference)]
     own, *others = (
-        table_of(law, velocity_reference, numbers_of(law, velocity_reference), best.holds is not False)
+        controller_table(law, velocity_reference, numbers_of(law, velocity_reference), best.holds is not False)
         for law in (best.fit, *close)
     )
     # Two structures may be the same law: an integral of the velocity error is a proportional position loop.

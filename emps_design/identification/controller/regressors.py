@@ -136,7 +136,7 @@ def could_pass_for(own: AnyEstimator) -> list[AnyEstimator]:
     return list(dict.fromkeys((*ESTIMATORS, own, *more)))
 
 
-def table_of(estimator: AnyEstimator, number: float | None = None) -> str | dict[str, object]:
+def estimator_table(estimator: AnyEstimator, number: float | None = None) -> str | dict[str, object]:
     """The estimator as in an axis file, with another ``number`` where one is given."""
     if isinstance(estimator, str):
         return estimator
@@ -259,7 +259,7 @@ def _position_error_columns(
     if signals.velocity_reference:
         error = np.zeros(len(signals))
     else:
-        error = held(signals.reference - signals.position, timing.every, timing.phase)
+        error = sample_and_hold(signals.reference - signals.position, timing.every, timing.phase)
     return error, _held_sum(error, free) * signals.period
 
 
@@ -271,7 +271,7 @@ def _free(n: int, timing: Timing, limited: np.ndarray | None) -> np.ndarray:
     return free
 
 
-def joined(several: Sequence[ControllerSignals]) -> ControllerSignals:
+def joined_signals(several: Sequence[ControllerSignals]) -> ControllerSignals:
     """Signals of one controller from several records in sequence, each a level of its own.
 
     Each record is shifted to the final position of the one before, so that nothing jumps, and starts in a sample in
@@ -317,7 +317,7 @@ def _profile_derivatives(signals: ControllerSignals) -> tuple[np.ndarray, np.nda
     return first, second
 
 
-def held(x: np.ndarray, every: int, phase: int) -> np.ndarray:
+def sample_and_hold(x: np.ndarray, every: int, phase: int) -> np.ndarray:
     """``x`` (n,) sampled in every ``every``-th sample from ``phase`` on, and held; before that ``x[0]``."""
     samples = np.arange(x.size)
     return x[np.maximum((samples - phase) // every * every + phase, 0)]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from emps_design.identification.controller.fit import CommandFilter, moved
+from emps_design.identification.controller.fit import CommandFilter, moved_filters
 from emps_design.identification.controller.regressors import (
     COLUMNS,
     DELAYS,
@@ -406,7 +406,7 @@ def polish(spectrum: Spectrum, start: LawCandidate, steps: int = STEPS) -> LawCa
         return start
 
     def numbers(x: np.ndarray) -> tuple[float, tuple[CommandFilter, ...]]:
-        return start.wi * float(np.exp(x[0])), moved(start.filters, x[1:], s.period)
+        return start.wi * float(np.exp(x[0])), moved_filters(start.filters, x[1:], s.period)
 
     def squares(x: np.ndarray) -> tuple[float, np.ndarray]:
         """Logarithm of the residual squares, and its derivatives."""

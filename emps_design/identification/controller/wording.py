@@ -12,7 +12,7 @@ numbers agree within their deviations.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,15 +22,16 @@ from emps_design.identification.controller.best_law import AS_GOOD, BestLaw, com
 from emps_design.identification.controller.fit import LawFit, covariance, fit, with_deviations
 from emps_design.identification.controller.regressors import (
     ControllerSignals,
+    estimator_table,
     regressors,
     sought,
-    table_of as estimator_table,
 )
 from emps_design.laws import leaves
 from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
 from emps_design.messages import Message
 from emps_design.records import Record
 from emps_design.units import Units
+from emps_design.view import Line, Table, View, Viewed
 
 TOLD, AMBIGUOUS, NOT_TOLD = "told", "ambiguous", "not told"
 
@@ -52,7 +53,7 @@ AHEAD = ("velocity", "acceleration", "coulomb")  # the feed-forward, in the orde
 
 
 @dataclass(frozen=True)
-class LawEstimate:
+class LawEstimate(Viewed):
     """The controller that made a record, as the ``[controller]`` table of an axis file, or why it is not identified.
 
     ``verdict`` is "told"; "ambiguous", where ``equivalents`` explain the record as well; or "not told", with the
@@ -104,6 +105,36 @@ class LawEstimate:
             "notes": list(self.notes),
             "warnings": list(self.warnings),
         }
+
+    def view(self) -> View:
+        """What a terminal and a notebook show: the verdict, the table, its numbers, and the compared structures."""
+        return tuple(self._shown())
+
+    def _shown(self) -> Iterator[Line | Table]:
+        yield Line(self.verdict + (f": {self.reason}" if self.reason else ""), "strong")
+        if self.controller is not None:
+            for line in ("", *self.to_toml().splitlines(), ""):
+                yield Line(line, "code")
+            rows = [
+                (name, f"{value:.7g}", f"{std:.2g}", f"{abs(100 * std / value):.2g}" if value else "")
+                for name, value, std in self.numbers
+            ]
+            yield Table(("number", "value", "std", "std [%]"), rows)
+        elif self.closest is not None:
+            yield Line(f"the closest law, which is not the machine's: {self.closest_in_words}")
+        if self.residual_rms is not None and self.residual_share is not None:
+            rms = f"{self.residual_rms:.4g} {self.command_unit}".rstrip()
+            own = f"; the record allows {self.allowed_rms:.4g}" if self.allowed_rms is not None else ""
+            yield Line(f"leaves {rms} rms, {100 * self.residual_share:.3g} % of the command's deviation{own}")
+        for note in self.notes:
+            yield Line(note)
+        if len(self.tried) > 1:
+            compared = [
+                (row["terms"], f"{row['residual_rms']:.4g}", f"{row['criterion']:+.1f}", f"{row['apart']:.1f}")
+                for row in self.tried
+            ]
+            unit = f" [{self.command_unit}]" if self.command_unit else ""
+            yield Table(("structure", f"left, whitened{unit}", "criterion", "apart [std]"), compared, "tried")
 
     @property
     def in_words(self) -> str:
@@ -298,17 +329,16 @@ def notes_of(several: Sequence[Record], unit: str, best: BestLaw, steps: np.ndar
     if timing.delay:
         notes.append(f"the command in the record is {timing.delay} samples behind the position it follows from")
     if s.skew:
-        part = dict(zip(s.linear, best.fit.linear, strict=True))
-        ahead = -1e3 * float(part["skew"] / part["position"])
+        ahead = -1e3 * (best.fit.part["skew"] / best.fit.part["position"])
         when = "before" if ahead > 0.0 else "after"
         other = ", or the law damps velocity as much" if ahead > 0.0 else ""
         notes.append(f"the position is recorded {abs(ahead):.2g} ms {when} the one that the command follows{other}")
     if timing.phase:
         notes.append(f"the position loop runs first at sample {timing.phase}: leave out as many at the start")
     if s.offset:
-        offset = float(best.fit.linear[s.linear.index("offset")])
         what = "the integral starts at" if s.form else "the command carries a constant"
-        notes.append(f"{what} {f'{offset:.4g} {unit}'.rstrip()}, which no table holds")
+        constant = f"{best.fit.part['offset']:.4g} {unit}".rstrip()
+        notes.append(f"{what} {constant}, which no table holds")
     if best.limit is not None:
         notes.append(f"the limit of {f'{best.limit:.6g} {unit}'.rstrip()} acts: command_limit of [drive]")
         if best.holds is None and s.form:
@@ -383,7 +413,7 @@ def _value_text(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else "none" if value is None else str(value)
 
 
-def kind_of(law: LawFit, velocity_reference: bool) -> str:
+def law_kind(law: LawFit, velocity_reference: bool) -> str:
     """Kind of the law in an axis file; "" where no law of the package has these terms."""
     s = law.structure
     plain = not (s.acceleration or s.coulomb or law.filters) and law.timing.every == 1
@@ -402,8 +432,8 @@ def kind_of(law: LawFit, velocity_reference: bool) -> str:
 
 def numbers_of(law: LawFit, velocity_reference: bool) -> dict[str, float]:
     """The numbers of the law by their place in the table, such as "position.kp"."""
-    kind, s = kind_of(law, velocity_reference), law.structure
-    part = dict(zip(s.linear, map(float, law.linear), strict=True))
+    kind, s = law_kind(law, velocity_reference), law.structure
+    part = law.part
     estimated, estimator = {}, law.timing.velocity_estimator
     if s.velocity and isinstance(estimator, Estimator) and sought(estimator):
         estimated = {f"velocity_estimator.{NUMBERS[estimator.kind]}": estimator.number}
@@ -428,9 +458,9 @@ def numbers_of(law: LawFit, velocity_reference: bool) -> dict[str, float]:
     return numbers
 
 
-def table_of(law: LawFit, velocity_reference: bool, numbers: dict[str, float], holds: bool) -> dict[str, Any]:
+def controller_table(law: LawFit, velocity_reference: bool, numbers: dict[str, float], holds: bool) -> dict[str, Any]:
     """The ``[controller]`` table with these ``numbers``; ``holds``: the integral stops at the limit."""
-    kind = kind_of(law, velocity_reference)
+    kind = law_kind(law, velocity_reference)
     table: dict[str, Any] = {"kind": kind}
     if kind == "cascade" and not velocity_reference:
         table["position"] = {"kp": numbers["position.kp"], "every": law.timing.every}

@@ -238,7 +238,7 @@ def test_the_law_is_found_where_the_axis_has_none(simulate, truth, monkeypatch):
     """Least squares is biased by this record: instruments need the controller that the axis does not give."""
     table = {"kind": "position_pd", "kp": AXIS.controller.kp, "kv": AXIS.controller.kv}
     told = LawEstimate("simulated", TOLD, "", table, {}, 0.0, 0.0, "V")  # looking for it takes seconds
-    monkeypatch.setattr("emps_design.identification.own_law.identify_law", lambda record, unit: told)
+    monkeypatch.setattr("emps_design.identification.controller.identify_law", lambda record, unit: told)
     bare = identify(simulate(0, std=25.0, time=0.005), BARE, cutoff=60.0)
     assert bare.estimator == "instrumental_variables"
     low, high = bare.parameters["mass"].interval_95

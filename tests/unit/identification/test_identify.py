@@ -9,9 +9,9 @@ from emps_design.axis import Axis
 from emps_design.errors import AxisError, InputError, RankError, RecordError
 from emps_design.identification import identify
 from emps_design.identification.chains import hold_chain, report_chain
-from emps_design.identification.filters import central_difference, decimate, held, held_force, low_pass, motion
-from emps_design.identification.inverse_model import baseline_columns, least_squares, regression, with_predicted_force
-from emps_design.identification.model import parameters_of
+from emps_design.identification.filters import central_difference, decimate, held_force, low_pass, mean_of_held, motion
+from emps_design.identification.inverse_model import least_squares, regression
+from emps_design.identification.model import baseline_columns, parameters_of, with_predicted_force
 from emps_design.machines import machine
 from emps_design.records import Record
 
@@ -232,7 +232,7 @@ def test_second_difference_and_held_force_balance_exactly():
         q[k + 1] = q[k] + v * T + 0.5 * force[k] / mass * T**2
         v += force[k] / mass * T
     second = (q[2:] - 2 * q[1:-1] + q[:-2]) / T**2
-    np.testing.assert_allclose(mass * second, held(force)[1:], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(mass * second, mean_of_held(force)[1:], rtol=1e-6, atol=1e-6)
 
 
 def test_long_signals_are_filtered_in_blocks_without_a_trace(monkeypatch):

@@ -12,12 +12,12 @@ from emps_design.machines import machine
 from emps_design.observer import (
     ForceObserver,
     KalmanForceObserver,
+    _lag,
     kalman_trade_off,
     observe_offline,
     observe_online,
     smallest_observable_force,
 )
-from emps_design.observer.external_force import _lag
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from tests.unit.records.with_gaps import as_one, lost

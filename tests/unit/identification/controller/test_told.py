@@ -10,7 +10,7 @@ from emps_design.identification.controller import NOT_TOLD, TOLD, LawEstimate, i
 from emps_design.identification.controller.best_law import BestLaw
 from emps_design.identification.controller.fit import LawFit, covariance, fit, with_deviations
 from emps_design.identification.controller.identify_law import signals_of
-from emps_design.identification.controller.regressors import LawStructure, Timing, joined
+from emps_design.identification.controller.regressors import LawStructure, Timing, joined_signals
 from emps_design.identification.controller.wording import (
     TIMES,
     disagreement,
@@ -101,7 +101,7 @@ def test_the_number_of_an_estimator_is_fitted(kind, number):
 def test_records_of_two_controllers_are_told_apart():
     """By their numbers, each fitted to the structure of both."""
     several = [record_of(replace(LOOP, kv=kv, samples=2000)) for kv in (300.0, 305.0)]
-    signals = joined([signals_of(one) for one in several])
+    signals = joined_signals([signals_of(one) for one in several])
     parts = [signals.levels == place for place in (0, 1)]
     apart = disagreement(found_with(signals, SLOPE), parts, numbers)
     said = in_parts(apart, several)

@@ -5,7 +5,8 @@ second difference of the position around t_k is the mean over the two periods th
 any force below break-away, which is not observable.
 
 The recorded voltage is converted to the acting one by the actuator's maps, delays and the lag of the current loop. The
-on-line observer is a difference equation of plain numbers, as a drive computes it.
+on-line observer is a difference equation of plain numbers, as a drive computes it. The Kalman filter estimates
+position, velocity and a force that is a random walk from the encoder's position.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ Q, V, COMMAND, FORCE = range(4)
 DEFAULT_CUTOFF_HZ = 20.0
 BLOCK = 50_000  # samples of a record between two reports of progress
 REST_VELOCITY = 1e-3  # m/s, default below which the sign of the velocity is taken as 0
+SLOWEST = 1e-4  # of the Nyquist frequency, lowest frequency at which the response is evaluated
 
 
 def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
@@ -71,26 +73,28 @@ def acting_voltage(axis: Axis, u: np.ndarray) -> tuple[np.ndarray, Axis]:
     return u, axis.replace(effects=kept, **used_up)
 
 
-def sampled_with(axis: Axis, period: float) -> Axis:
-    """``axis`` with the sampling ``period`` [s] of a record."""
-    return axis if axis.sampling.period == period else axis.replace(sampling={"period": period})
+def with_acting_command(axis: Axis, record: Record) -> tuple[Record, Axis]:
+    """The record with the voltage of :func:`acting_voltage`, and the axis that belongs to it.
+
+    The voltage includes the supply of a duty and the motor switch.
+    """
+    voltage, driven = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
+    return replace(record, u=voltage * motor_share(axis, record)), driven
 
 
 def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:
-    """The record with the voltage of :func:`acting_voltage`, and the axis that belongs to it.
+    """:func:`with_acting_command`, for an axis whose viscous friction includes the braking by the back-EMF.
 
-    The voltage includes the supply of a duty and the motor switch. An open winding does not brake, so where the motor
-    is off the voltage compensates the braking that is part of the axis's viscous friction.
+    An open winding does not brake, so where the motor is off the voltage compensates that part.
 
-    >>> from emps_design.machines import machine
     >>> from emps_design.machines import machine
     >>> wave = 0.1 * np.sin(np.arange(60) / 9)
     >>> off = Record.from_arrays(1e-2, wave, wave, np.ones(60) + wave, enable=np.arange(60) < 30)
     >>> [int(np.count_nonzero(half)) for half in np.split(as_driven(machine("emps2019"), off)[0].u, 2)]
     [30, 0]
     """
-    voltage, driven = acting_voltage(sampled_with(axis, record.period), record.u)
-    return replace(record, u=voltage * motor_share(axis, record) + back_emf_compensation(axis, record)), driven
+    driven, rest = with_acting_command(axis, record)
+    return replace(driven, u=driven.u + back_emf_compensation(axis, record)), rest
 
 
 def motor_share(axis: Axis, record: Record) -> Any:
@@ -377,6 +381,199 @@ def observe_online(
         if progress is not None:
             progress(stop / len(q))
     return force
+
+
+class KalmanForceObserver:
+    """Kalman filter with the states position, velocity and external force; the force is a random walk.
+
+    Give either ``bandwidth_hz`` [Hz], at which the estimate has half the power of the force, or ``force_rate``
+    [N/sqrt(s)], the expected rate of change of the force: a larger one is faster and noisier. ``position_noise`` [m]
+    defaults to that of the encoder's quantisation. The gain is the steady-state one.
+
+    >>> from emps_design.machines import machine
+    >>> observer = KalmanForceObserver(machine("emps2018"), bandwidth_hz=20.0)
+    >>> round(observer.bandwidth_hz, 2), observer.noise_std < 0.1
+    (20.0, True)
+    """
+
+    def __init__(
+        self,
+        axis: Axis,
+        bandwidth_hz: float | None = None,
+        force_rate: float | None = None,
+        position_noise: float | None = None,
+        rest_velocity: float = REST_VELOCITY,
+    ):
+        if bandwidth_hz is not None and force_rate is not None:
+            raise InputError("Kalman observer: give bandwidth_hz or force_rate, not both")
+        quantisation = axis.sampling.encoder_resolution / math.sqrt(12.0)
+        noise = quantisation if position_noise is None else position_noise
+        if not noise > 0:
+            raise InputError(
+                f"{axis.name}: position noise {axis.units.quantity(noise, 'm', 'g')}; "
+                "give encoder_resolution in the axis, or position_noise > 0"
+            )
+        self.axis, self.rest_velocity, self.position_noise = axis, rest_velocity, noise
+        self._resistance, self._gain = Resistance(axis, left_out(axis)["kalman"]), axis.drive.gain
+        self._period, self._viscous = axis.sampling.period, axis.mechanics.viscous
+        if force_rate is None:
+            bandwidth_hz = DEFAULT_CUTOFF_HZ if bandwidth_hz is None else bandwidth_hz
+            force_rate = _force_rate_for(axis, bandwidth_hz, noise)
+        if not force_rate > 0:
+            rate = axis.units.quantity(force_rate, "N/sqrt(s)", "g")
+            raise InputError(f"{axis.units.word('force')} rate: found {rate}, expected > 0")
+        self.force_rate = force_rate
+        self._design = _SteadyKalman.of(axis, force_rate, noise)
+        self._rows = [tuple(row) for row in self._design.transition.tolist()]
+        self._push = tuple(self._design.push.tolist())
+        self._correct = tuple(self._design.gain.tolist())
+        self.reset()
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Frequency [Hz] at which the estimate has half the power of the force."""
+        return self._design.bandwidth / (2.0 * math.pi)
+
+    @property
+    def delay(self) -> float:
+        """Delay [s] of the estimate of a slow force: the slope of the phase from force to estimate at low frequency.
+
+        ``response`` is that to a force held from t_k on, which lags by half a period.
+        """
+        w = 1e-2 * self._design.bandwidth
+        return -float(np.angle(self.response(np.array([w]))[0])) / w - 0.5 * self._period
+
+    @property
+    def noise_std(self) -> float:
+        """Standard deviation [N] of the estimate by the encoder's noise."""
+        return self._design.noise_std
+
+    def response(self, w: np.ndarray) -> np.ndarray:
+        """Response (n,) from external force, held over each period, to its estimate at ``w`` (n,) [rad/s]."""
+        return self._design.response(np.asarray(w, dtype=float))
+
+    def reset(self) -> None:
+        """Reset the state: the next sample starts from rest."""
+        self._state, self._samples = (0.0, 0.0, 0.0), 0
+
+    def step(self, q: float, u: float) -> float:
+        """Return the external force [N], late by ``delay``.
+
+        ``q`` [m] is the position at this sample, ``u`` [V] the voltage of the period that ends with it.
+        """
+        if self._samples == 0:
+            self._state = (q, 0.0, 0.0)
+        else:
+            x, v, d = self._state
+            t = (self._samples - 1) * self._period
+            # Viscous friction is in the transition matrix already.
+            motor = self._gain * u
+            drive = motor - self._resistance.force(x, v, t, motor, self.rest_velocity) + self._viscous * v
+            ahead = [
+                row[0] * x + row[1] * v + row[2] * d + push * drive
+                for row, push in zip(self._rows, self._push, strict=True)
+            ]
+            error = q - ahead[0]
+            self._state = tuple(value + gain * error for value, gain in zip(ahead, self._correct, strict=True))
+        self._samples += 1
+        return self._state[2]
+
+
+def kalman_trade_off(axis: Axis, bandwidths_hz: np.ndarray) -> dict[str, np.ndarray]:
+    """Delay [s] and noise [N] of the Kalman observer for each of ``bandwidths_hz`` [Hz]: faster is noisier.
+
+    >>> from emps_design.machines import machine
+    >>> table = kalman_trade_off(machine("emps2018"), np.array([10.0, 40.0]))
+    >>> bool(table["delay"][1] < table["delay"][0]), bool(table["noise_std"][1] > table["noise_std"][0])
+    (True, True)
+    """
+    observers = [KalmanForceObserver(axis, bandwidth_hz=float(bandwidth)) for bandwidth in bandwidths_hz]
+    return {
+        "bandwidth_hz": np.array([observer.bandwidth_hz for observer in observers]),
+        "force_rate": np.array([observer.force_rate for observer in observers]),
+        "delay": np.array([observer.delay for observer in observers]),
+        "noise_std": np.array([observer.noise_std for observer in observers]),
+    }
+
+
+@dataclass(frozen=True)
+class _SteadyKalman:
+    """Steady-state Kalman gain for [q, v, d] over a period, computed in units in which all three are near 1."""
+
+    transition: np.ndarray
+    push: np.ndarray
+    gain: np.ndarray
+    noise: float
+    period: float
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, axis: Axis, force_rate: float, noise: float) -> _SteadyKalman:
+        from scipy.linalg import expm, solve_discrete_are
+
+        m, T = axis.mechanics, axis.sampling.period
+        continuous = np.zeros((4, 4))
+        continuous[0, 1] = 1.0
+        continuous[1, 1:] = -m.viscous / m.mass, 1.0 / m.mass, 1.0 / m.mass
+        step = expm(continuous * T)
+        a, push = step[:3, :3], step[:3, 3].copy()
+        scale = np.array([noise, noise / T, m.mass * noise / T**2])
+        scaled = a * scale / scale[:, None]
+        walk = np.diag([0.0, 0.0, force_rate**2 * T / scale[2] ** 2])
+        output = np.array([[1.0], [0.0], [0.0]])
+        p = solve_discrete_are(scaled.T, output, walk, np.eye(1))
+        gain = p[:, 0] / (p[0, 0] + 1.0)
+        return cls(a, push, gain * scale / noise, noise, T, scale)
+
+    @property
+    def _closed(self) -> np.ndarray:
+        return (np.eye(3) - np.outer(self.gain, [1.0, 0.0, 0.0])) @ self.transition
+
+    @property
+    def noise_std(self) -> float:
+        from scipy.linalg import solve_discrete_lyapunov
+
+        closed = self._closed * self.scale / self.scale[:, None]
+        gain = self.gain * self.noise / self.scale
+        return float(math.sqrt(solve_discrete_lyapunov(closed, np.outer(gain, gain))[2, 2]) * self.scale[2])
+
+    def response(self, w: np.ndarray) -> np.ndarray:
+        z = np.exp(1j * w * self.period)[:, None, None]
+        motion = np.linalg.solve(z * np.eye(2) - self.transition[:2, :2], self.push[:2, None])[:, 0, 0]
+        # The estimator has q alone: x[k+1] = (I - K C) A x[k] + K q[k+1].
+        correction = self.gain[None, :, None] * z * motion[:, None, None]
+        return np.linalg.solve(z * np.eye(3) - self._closed, correction)[:, 2, 0]
+
+    @property
+    def bandwidth(self) -> float:
+        w = np.geomspace(SLOWEST, 1.0, 600) * math.pi / self.period
+        size = np.abs(self.response(w))
+        below = np.flatnonzero(size < math.sqrt(0.5))
+        if not below.size:
+            return float(w[-1])
+        if below[0] == 0:
+            return float(w[0])
+        i = int(below[0])
+        share = (size[i - 1] - math.sqrt(0.5)) / (size[i - 1] - size[i])
+        return float(w[i - 1] + share * (w[i] - w[i - 1]))
+
+
+def _force_rate_for(axis: Axis, bandwidth_hz: float, noise: float) -> float:
+    """Random walk of the force [N/sqrt(s)] whose Kalman filter has the bandwidth [Hz]."""
+    from scipy.optimize import brentq
+
+    w, T = 2.0 * math.pi * bandwidth_hz, axis.sampling.period
+    if not 0.5 * SLOWEST / T < bandwidth_hz < 0.2 / T:
+        raise InputError(
+            f"bandwidth: found {bandwidth_hz:g} Hz, expected between {0.5 * SLOWEST / T:g} and {0.2 / T:g} Hz"
+        )
+    # Continuous filter of a triple integrator: its bandwidth is near (rate / (mass noise sqrt(T)))^(1/3).
+    guess = math.log(axis.mechanics.mass * noise * math.sqrt(T) * w**3)
+
+    def excess(log_rate: float) -> float:
+        return math.log(_SteadyKalman.of(axis, math.exp(log_rate), noise).bandwidth / w)
+
+    return math.exp(brentq(excess, guess - 6.0, guess + 6.0, xtol=1e-6))
 
 
 @dataclass(frozen=True)
