@@ -488,12 +488,8 @@ def kalman_trade_off(axis: Axis, bandwidths_hz: np.ndarray) -> dict[str, np.ndar
     (True, True)
     """
     observers = [KalmanForceObserver(axis, bandwidth_hz=float(bandwidth)) for bandwidth in bandwidths_hz]
-    return {
-        "bandwidth_hz": np.array([observer.bandwidth_hz for observer in observers]),
-        "force_rate": np.array([observer.force_rate for observer in observers]),
-        "delay": np.array([observer.delay for observer in observers]),
-        "noise_std": np.array([observer.noise_std for observer in observers]),
-    }
+    names = ("bandwidth_hz", "force_rate", "delay", "noise_std")
+    return {name: np.array([getattr(observer, name) for observer in observers]) for name in names}
 
 
 @dataclass(frozen=True)

@@ -54,4 +54,4 @@ def answer(request: LawRequest) -> Reply:
         if estimate.controller is None:
             raise InputError(f"{estimate.record}: {estimate.reason}; {request.out} is not written")
         write_text(request.out, estimate.to_toml())
-    return Reply(estimate.to_dict(), estimate.view(), units, warnings=estimate.warnings)
+    return Reply(estimate.to_dict(), estimate.view(), units)

@@ -45,11 +45,10 @@ class Whitening:
     @classmethod
     def of_autocovariance(cls, lags: np.ndarray) -> Whitening:
         """Model noise of autocovariance ``lags`` (order + 1,) [N^2] by the Yule-Walker equations."""
-        from scipy.linalg import solve_toeplitz
+        from emps_design.identification.statistics import autoregression
 
         lags = lags * np.concatenate(([1 + 1e-9], np.ones(lags.size - 1)))
-        a = solve_toeplitz(lags[:-1], lags[1:])
-        variance = lags[0] - float(a @ lags[1:])
+        a, variance = autoregression(lags, lags.size - 1)
         return cls(np.concatenate(([1.0], -a)), float(np.sqrt(max(variance, 1e-12))))
 
     def apply(self, residual: np.ndarray) -> np.ndarray:

@@ -117,7 +117,7 @@ def _encoder_error(solution: Solution) -> np.ndarray | None:
     if len(problem.record) > LONG:
         return None
     # Imported here: the simulation's modules would add a tenth to the memory of a long record's regression.
-    from emps_design.identification.output_error import error_of_steps
+    from emps_design.identification.closed_loop import error_of_steps
 
     def estimate(rounded: Record, exact: Record) -> np.ndarray:
         return problem.alike(rounded).solved().value
@@ -280,7 +280,7 @@ def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identif
         return _untested(plain, f"the test takes at most {LONG} samples; test a part of the record")
     if goes_one_way(record):
         return _untested(plain, "motion one way is not enough for it")
-    from emps_design.identification.instruments import WEAK_INSTRUMENT, solve_with_instruments
+    from emps_design.identification.closed_loop import WEAK_INSTRUMENT, solve_with_instruments
 
     parameters = plain.parameters
     try:
@@ -315,13 +315,13 @@ def _untested(plain: Identification, why: str) -> Identification:
 
 # Imported in the functions: the simulation's modules would add a tenth to the memory of a long record's regression.
 def _by_instruments(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
-    from emps_design.identification.instruments import identify_with_instruments
+    from emps_design.identification.closed_loop import identify_with_instruments
 
     return _simulated(identify_with_instruments, record, axis, request)
 
 
 def _by_output_error(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
-    from emps_design.identification.output_error import identify_by_output_error
+    from emps_design.identification.closed_loop import identify_by_output_error
 
     return _simulated(identify_by_output_error, record, axis, request)
 
@@ -364,16 +364,10 @@ def _output_error_for_hidden(
         by_output_error = _by_output_error(record, axis, replace(request, with_=instrumental.fitted.terms))
     except EmpsError:
         return None
-    ends = {
-        name: estimate.interval_95
-        for name, estimate in by_output_error.parameters.items()
-        if estimate.interval_95 is not None
-    }
-    others = {
-        name: estimate.interval_95
-        for name, estimate in instrumental.parameters.items()
-        if estimate.interval_95 is not None
-    }
+    ends, others = (
+        {name: estimate.interval_95 for name, estimate in fit.parameters.items() if estimate.interval_95 is not None}
+        for fit in (by_output_error, instrumental)
+    )
     sure = all(name in ends and ends[name][0] * ends[name][1] > 0.0 for name in hidden)
     if not sure or any(ends[name][0] > high or ends[name][1] < low for name, (low, high) in others.items()):
         return None

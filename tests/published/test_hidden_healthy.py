@@ -5,7 +5,7 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.identification import identify
-from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.closed_loop import identify_by_output_error
 from emps_design.records import read_record
 
 

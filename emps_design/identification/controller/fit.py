@@ -80,10 +80,6 @@ class CommandFilter:
         """Corner or centre frequency [Hz]."""
         return float(np.exp(self.numbers[0]))
 
-    def table(self) -> dict[str, Any]:
-        """The filter as in an axis file."""
-        return {"kind": self.kind, **dict(zip(self.names, self.values, strict=True))}
-
     @property
     def names(self) -> tuple[str, ...]:
         """Its keys in an axis file."""

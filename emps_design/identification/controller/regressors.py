@@ -67,6 +67,8 @@ COLUMNS = (
 )
 SAMPLED = 2  # of them, the first, depend on the samples of the position loop
 
+SWITCHES = ("acceleration", "coulomb", "force", "offset", "skew")  # terms that a law has or has not
+
 PLACE = {name: i for i, name in enumerate(COLUMNS)}
 
 
@@ -355,7 +357,7 @@ class LawStructure:
         names = ["position"] if self.position else []
         if self.velocity:
             names += {None: ["following", "damping"], 1: ["following"], 0: ["damping"]}[self.share]
-        names += [name for name in ("acceleration", "coulomb", "force", "offset", "skew") if getattr(self, name)]
+        names += [name for name in SWITCHES if getattr(self, name)]
         return tuple(names)
 
     @property
@@ -382,17 +384,8 @@ class LawStructure:
     @property
     def simpler(self) -> tuple[LawStructure, ...]:
         """The structures with one parameter less."""
-        structures = []
-        if self.acceleration:
-            structures.append(replace(self, acceleration=False))
-        if self.coulomb:
-            structures.append(replace(self, coulomb=False))
-        if self.force:
-            structures.append(replace(self, force=False))
-        if self.offset:
-            structures.append(replace(self, offset=False))
-        if self.skew:
-            structures.append(replace(self, skew=False))
+        off: list[dict[str, Any]] = [{name: False} for name in SWITCHES if getattr(self, name)]
+        structures = [replace(self, **without) for without in off]
         if self.form == "pi":
             structures.append(replace(self, form=""))
         if self.velocity and self.share is None:

@@ -13,7 +13,7 @@ numbers agree within their deviations.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from emps_design.identification.controller.regressors import (
 )
 from emps_design.laws import leaves
 from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
-from emps_design.messages import Message
 from emps_design.records import Record
 from emps_design.units import Units
 from emps_design.view import Line, Table, View, Viewed
@@ -81,7 +80,6 @@ class LawEstimate(Viewed):
     notes: tuple[str, ...] = ()
     closest: dict[str, Any] | None = None
     allowed_rms: float | None = None
-    warnings: tuple[Message, ...] = field(default=())
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data."""
@@ -103,7 +101,7 @@ class LawEstimate(Viewed):
             "equivalents": list(self.equivalents),
             "tried": list(self.tried),
             "notes": list(self.notes),
-            "warnings": list(self.warnings),
+            "warnings": [],
         }
 
     def view(self) -> View:

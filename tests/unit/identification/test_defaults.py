@@ -14,10 +14,9 @@ from emps_design.cli.output import Terminal
 from emps_design.errors import InputError
 from emps_design.identification import identify, identify_several
 from emps_design.identification.assemble import assemble, cutoff_sensitivity
+from emps_design.identification.closed_loop import identify_by_output_error, identify_with_instruments
 from emps_design.identification.controller import TOLD, LawEstimate
 from emps_design.identification.filters import encoder_variance
-from emps_design.identification.instruments import identify_with_instruments
-from emps_design.identification.output_error import identify_by_output_error
 from emps_design.identification.result import IdentificationRequest
 from emps_design.identification.several import identify_together
 from emps_design.machines import machine

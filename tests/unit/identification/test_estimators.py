@@ -8,8 +8,7 @@ import pytest
 from emps_design.errors import AxisError, InputError, RecordError
 from emps_design.identification import identify
 from emps_design.identification.chains import chosen_cutoff
-from emps_design.identification.instruments import identify_with_instruments
-from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.closed_loop import identify_by_output_error, identify_with_instruments
 from emps_design.identification.several import identify_several
 from emps_design.machines import machine
 from emps_design.records import Record

@@ -5,8 +5,7 @@ import pytest
 
 from emps_design.effects import EFFECTS
 from emps_design.identification import identify
-from emps_design.identification.instruments import identify_with_instruments
-from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.closed_loop import identify_by_output_error, identify_with_instruments
 from emps_design.machines import machine
 from emps_design.records import Record
 from emps_design.simulation import Plant

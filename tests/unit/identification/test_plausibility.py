@@ -8,8 +8,7 @@ import pytest
 from emps_design.errors import RecordError
 from emps_design.identification import identify
 from emps_design.identification.assemble import implausible
-from emps_design.identification.instruments import identify_with_instruments
-from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.closed_loop import identify_by_output_error, identify_with_instruments
 from emps_design.machines import machine
 
 AXIS = machine("emps2019")

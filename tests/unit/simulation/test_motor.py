@@ -8,7 +8,7 @@ from emps_design.control.discretisation import sample_axis
 from emps_design.control.linear_plant import linear_plant
 from emps_design.errors import AxisError
 from emps_design.identification import identify
-from emps_design.identification.output_error import identify_by_output_error
+from emps_design.identification.closed_loop import identify_by_output_error
 from emps_design.machines import machine
 from emps_design.model import inverse_force
 from emps_design.records import Record
