@@ -43,11 +43,10 @@ from emps_design.control.impedance.passivity import (
     Clock,
     SampledLoop,
     extended_loop,
-    extended_radius,
     largest_wall,
     passivity,
     recursion_poles,
-    relay_oscillation,
+    relay_oscillations,
     sampled_loop,
 )
 from emps_design.control.impedance.robustness import (
@@ -199,9 +198,7 @@ class ImpedanceAssessment(Viewed):
     @cached_property
     def worst_radius(self) -> float:
         """Largest pole modulus over the corners of the mismatch, sliding and sticking."""
-        return float(
-            worst_radius(self.law, self.plant, self.clock, self.mismatch or 0.0, self.law.mass, self.law.filter)
-        )
+        return float(worst_radius(self.law, self.plant, self.clock, self.mismatch or 0.0))
 
     @cached_property
     def extended(self) -> SampledLoop | None:
@@ -302,9 +299,8 @@ class ImpedanceAssessment(Viewed):
         if self.stable:
             return None
 
-        def accept(law: ImpedanceLaw, masses: np.ndarray, filters: np.ndarray) -> np.ndarray:
-            radius = [extended_radius(self.axis, law, masses, filters, v) for v in self._speeds]
-            return np.max(radius, axis=0) <= 1.0 + MARGINAL
+        def accept(laws: ImpedanceLaw) -> np.ndarray:
+            return np.all([extended_loop(self.axis, laws, v).stable for v in self._speeds], axis=0)
 
         extended = None if self.extended is None else accept
         return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, extended, self._calm)
@@ -353,7 +349,7 @@ class ImpedanceAssessment(Viewed):
         loop = self.loop
         nominal = loop.stable and abs(recursion_poles(law, clock)[0]) <= 1.0 + MARGINAL
         nominal = nominal and (self.extended is None or self.extended.stable)
-        oscillation = relay_oscillation(law, plant, clock)
+        (oscillation,) = relay_oscillations(law, plant, clock)
         ideal = replace(law, force_sensor=False, current_factor=1.0)
         document: dict[str, Any] = {
             "axis": self.axis.name,

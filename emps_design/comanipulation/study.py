@@ -17,7 +17,7 @@ from emps_design.axis import Axis
 from emps_design.comanipulation.run import TaskRun, in_threads, run_many, run_task
 from emps_design.comanipulation.task import Measures, Task, fitted_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.passivity import Clock, impedance_error, numbers, radius_of, sampled_loops
+from emps_design.control.impedance.passivity import Clock, impedance_error, sampled_loop
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
 from emps_design.control.sampled import MARGINAL
 from emps_design.laws.friction_model import PARAMETERS
@@ -288,12 +288,10 @@ def run_worst(axis: Axis, study: MismatchStudy) -> TaskRun:
 def _error_and_radius(axis: Axis, laws: ImpedanceLaw, directions: tuple[int, ...]) -> np.ndarray:
     """Error of the apparent impedance and largest pole modulus of ``laws``, (2, m), in the worse direction."""
     clock, plant = Clock.of(axis), FrictionModel.of(axis)
-    options: dict[str, Any] = {"velocity_estimator": laws.velocity_estimator, "force_sensor": laws.force_sensor}
     rows = []
     for direction in directions:
-        n = numbers(laws, plant, direction)
-        loops = sampled_loops(n, clock, **options)
-        rows.append([impedance_error(loops, n), radius_of(loops)])
+        loops = sampled_loop(laws, plant, clock, direction)
+        rows.append([impedance_error(loops, laws), loops.radius])
     return np.max(rows, axis=0)
 
 

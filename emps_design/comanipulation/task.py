@@ -25,10 +25,8 @@ from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.passivity import (
     Clock,
     Environment,
-    numbers,
     relay_oscillations,
     sampled_loop,
-    sampled_loops,
 )
 from emps_design.control.impedance.robustness import VERDICTS, break_away, exact_and_corners, stacked
 from emps_design.control.sampled import MARGINAL
@@ -264,8 +262,7 @@ def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, flo
     plant, clock, corners = FrictionModel.of(axis), Clock.of(axis), exact_and_corners(mismatch)
     together, decay = law.with_errors(stacked(corners)), math.inf
     for direction in plant.directions:
-        loops = sampled_loops(numbers(together, plant, direction), clock, law.velocity_estimator, law.force_sensor)
-        poles = np.abs(loops.poles)
+        poles = np.abs(sampled_loop(together, plant, clock, direction).poles)
         inside = poles[(poles > 0.0) & (poles < 1.0 - MARGINAL)]
         if inside.size:
             decay = min(decay, -math.log(inside.max()) / clock.period)

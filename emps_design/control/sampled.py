@@ -272,14 +272,18 @@ class SampledLoop:
     cycle: int = 1
 
     @cached_property
+    def _eigenvalues(self) -> np.ndarray:
+        return np.linalg.eigvals(self.A if self.cycle == 1 else monodromy(self.A))
+
+    @cached_property
     def poles(self) -> np.ndarray:
         """Poles in the z plane (..., n), largest first; of ``cycle`` samples, so z is exp(s T cycle)."""
-        return sorted_poles(np.linalg.eigvals(self.A if self.cycle == 1 else monodromy(self.A)))
+        return sorted_poles(self._eigenvalues)
 
     @property
     def radius(self) -> Any:
         """Largest modulus of the poles, per sample: a float, (...) for many loops."""
-        modulus = np.abs(self.poles[..., 0]) ** (1.0 / self.cycle)
+        modulus = np.abs(self._eigenvalues).max(axis=-1) ** (1.0 / self.cycle)
         return modulus if modulus.ndim else float(modulus)
 
     @property

@@ -285,15 +285,14 @@ def _felt_table(document: Mapping[str, Any], units: Units) -> Table:
 
 def _impedance_picture(assessment: ImpedanceAssessment) -> Picture:
     from emps_design.control.impedance.law import LOW_FREQUENCY, equivalent_loop
-    from emps_design.control.impedance.passivity import impedance_response, numbers
+    from emps_design.control.impedance.passivity import sampled_loop
     from emps_design.errors import SpecificationError
 
     law = assessment.law
     below = OMEGA[np.pi / assessment.clock.period > OMEGA]
 
     def felt(law: Any) -> np.ndarray:
-        options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
-        return impedance_response(numbers(law, assessment.plant), assessment.clock, below, **options)[0]
+        return 1.0 / sampled_loop(law, assessment.plant, assessment.clock).admittance(below)
 
     curves = {"sampled law": felt(law)}
     if assessment.mismatch:

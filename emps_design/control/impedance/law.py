@@ -70,7 +70,7 @@ class ApparentImpedance:
 
 @dataclass(frozen=True)
 class ImpedanceLaw:
-    """The impedance law with all its options, or many laws that differ in their estimates.
+    """The impedance law with all its options, or many laws: arrays of one shape in place of numbers, estimates too.
 
     ``mass`` M_a [kg], ``damping`` B [N/(m/s)], ``estimate`` the law's X, ``stiffness`` K [N/m] about
     ``rest_position`` q_0 [m]; ``filter`` [rad/s] low-passes acceleration and current alike (inf: none),
@@ -85,13 +85,13 @@ class ImpedanceLaw:
     {'apparent_mass': 50.0, 'apparent_damping': 100.0, 'coulomb_left': 0.0}
     """
 
-    mass: float
-    damping: float
+    mass: Any
+    damping: Any
     estimate: FrictionModel
-    stiffness: float = 0.0
+    stiffness: Any = 0.0
     rest_position: float = 0.0
-    filter: float = math.inf
-    current_filter: float | None = None
+    filter: Any = math.inf
+    current_filter: Any = None
     coulomb_factor: float = 1.0
     current_factor: float = DERIVED
     force_sensor: bool = False
@@ -106,24 +106,25 @@ class ImpedanceLaw:
         _finite("reference velocity qd_0", self.reference_velocity)
         _finite("Coulomb factor", self.coulomb_factor, 0.0)
         for name, value in (("filter", self.filter), ("current filter", self.current_filter)):
-            if value is not None and (math.isnan(value) or value <= 0.0):
-                raise InputError(f"{name}: found {value:g} rad/s, expected more than 0 (inf: unfiltered)")
+            bad = np.extract(~np.greater(value, 0.0), value) if value is not None else np.zeros(0)
+            if bad.size:
+                raise InputError(f"{name}: found {bad[0]:g} rad/s, expected more than 0 (inf: unfiltered)")
         if self.current_factor not in (DERIVED, PRINTED):
             raise InputError(f"current factor: found {self.current_factor:g}, expected 1 (derived) or 2 (printed)")
         estimator_of(self.velocity_estimator)
 
     @property
-    def ratio(self) -> float:
+    def ratio(self) -> Any:
         """Mh/M_a."""
         return self.estimate.mass / self.mass
 
     @property
-    def filters(self) -> tuple[float, float]:
+    def filters(self) -> tuple[Any, Any]:
         """Low-pass of the acceleration and of the current [rad/s]."""
         return self.filter, self.filter if self.current_filter is None else self.current_filter
 
     @property
-    def recursion_gain(self) -> float:
+    def recursion_gain(self) -> Any:
         """Gain of the law's recursion in its own current, kappa (Mh/M_a - 1); 0 with a force sensor."""
         return 0.0 if self.force_sensor else self.current_factor * (self.ratio - 1.0)
 
@@ -236,8 +237,9 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
     return law_with(np.stack(np.broadcast_arrays(*gains), axis=-1).astype(float), delay)
 
 
-def _finite(name: str, value: float, lower: float = -math.inf, open_below: bool = False) -> None:
-    if not math.isfinite(value) or value < lower or (open_below and value == lower):
+def _finite(name: str, values: Any, lower: float = -math.inf, open_below: bool = False) -> None:
+    above = np.greater(values, lower) if open_below else np.greater_equal(values, lower)
+    for value in np.extract(~(np.isfinite(values) & above), values):
         if not math.isfinite(value):
             raise InputError(f"{name}: found {value:g}, expected a finite number")
         bound = f"{'more than' if open_below else 'at least'} {lower:g}"

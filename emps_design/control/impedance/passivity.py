@@ -20,9 +20,8 @@ by its describing function.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,12 +29,12 @@ from numpy.polynomial import polynomial as poly
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis, sample_plant
-from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
+from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.linear_plant import FREE, Environment, attached, felt, rigid_plant
 from emps_design.control.sampled import MARGINAL, SampledLoop, close, sorted_poles
-from emps_design.laws import TWO_TAP, Law
+from emps_design.laws import Law
 from emps_design.laws.estimators import estimator_response
-from emps_design.laws.library.impedance import COULOMB_POSITIVE, Parameters, gains_of, law_with
+from emps_design.laws.library.impedance import COULOMB_POSITIVE, gains_of, law_with
 from emps_design.laws.linear import linear_law, own_poles
 from emps_design.stretches import stretches
 
@@ -61,57 +60,30 @@ def sampled_loop(
 ) -> SampledLoop:
     """Close the sampled loop of ``law`` on ``plant`` for motion to + or - (``direction``), free or in contact.
 
+    Many loops at once where ``law`` or ``environment`` holds arrays, all of one shape. Voltages are forces: G_tau is 1.
+    The input ``coulomb`` is the level of the Coulomb compensation [N].
+
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
     >>> axis = machine("emps2018")
     >>> law = impedance_law(axis, 50.0, 100.0)
     >>> sampled_loop(law, law.estimate, Clock.of(axis)).stable
     True
+    >>> sampled_loop(replace(law, mass=np.array([1.0, 50.0])), law.estimate, Clock.of(axis)).stable.tolist()
+    [False, True]
     """
-    return sampled_loops(numbers(law, plant, direction), clock, law.velocity_estimator, law.force_sensor, environment)
-
-
-def numbers(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> dict[str, Any]:
-    """Return the parameters of the loop by name; any of them may be replaced by an array, all of one shape."""
-    i = 0 if direction > 0 else 1
-    acceleration, current = law.filters
-    return {
-        "mass": plant.mass,
-        "viscous": plant.viscous[i],
-        "mass_hat": law.estimate.mass,
-        "viscous_hat": law.estimate.viscous[i],
-        "apparent_mass": law.mass,
-        "damping": law.damping,
-        "stiffness": law.stiffness,
-        "filter": acceleration,
-        "current_filter": current,
-        "current_factor": law.current_factor,
-    }
-
-
-def sampled_loops(
-    n: dict[str, Any],
-    clock: Clock,
-    velocity_estimator: Any = TWO_TAP,
-    force_sensor: bool = False,
-    environment: Environment = FREE,
-) -> SampledLoop:
-    """Close many loops at once: ``n`` as from :func:`numbers`, ``environment``, with arrays (m,) in any of them.
-
-    Voltages are forces: G_tau is 1. The input ``coulomb`` is the level of the Coulomb compensation [N].
-    """
-    rigid = attached(rigid_plant(n["mass"], n["viscous"], 1.0, clock.current_time_constant), environment)
-    form = linear_law(
-        _law(n, clock, velocity_estimator, force_sensor), clock.period, signals={COULOMB_POSITIVE: "coulomb"}
-    )
-    sensor = felt(rigid, environment) if force_sensor else None
-    return close(sample_plant(rigid, clock.period, clock.delay, velocity_estimator), form, sensor)
+    viscous = plant.viscous[0 if direction > 0 else 1]
+    rigid = attached(rigid_plant(plant.mass, viscous, 1.0, clock.current_time_constant), environment)
+    form = linear_law(_smooth(law, clock, direction), clock.period, signals={COULOMB_POSITIVE: "coulomb"})
+    sensor = felt(rigid, environment) if law.force_sensor else None
+    return close(sample_plant(rigid, clock.period, clock.delay, law.velocity_estimator), form, sensor)
 
 
 def extended_loop(axis: Axis, law: ImpedanceLaw, velocity: float = 0.1) -> SampledLoop:
     """Close the sampled loop of ``law`` on ``axis``, its effects linearised in steady motion at ``velocity`` [m/s].
 
-    The law's model of its current ignores the effects: lag, delay or gain of an actuator appear in the poles.
+    The law's model of its current ignores the effects: lag, delay or gain of an actuator appear in the poles. Many
+    loops at once where ``law`` holds arrays.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -121,90 +93,37 @@ def extended_loop(axis: Axis, law: ImpedanceLaw, velocity: float = 0.1) -> Sampl
     >>> extended_loop(axis, law).stable, extended_loop(axis.replace(effects=[coupling]), law).stable
     (True, False)
     """
-    period = axis.sampling.period
-    return close(sample_axis(axis, velocity), linear_law(law_for(axis, law, period), period, float(np.sign(velocity))))
-
-
-def extended_radius(
-    axis: Axis, law: ImpedanceLaw, masses: np.ndarray, filters: np.ndarray, velocity: float = 0.1
-) -> np.ndarray:
-    """Largest modulus of the poles of :func:`extended_loop` for many M_a [kg] and filters [rad/s] at once, shape (m,).
-
-    Acceleration and current share the filter; ``law`` gives the rest.
-    """
     clock, direction = Clock.of(axis), 1 if velocity > 0.0 else -1
-    n = numbers(law, FrictionModel.of(axis), direction)
-    n |= {"apparent_mass": masses, "filter": filters, "current_filter": filters}
-    laws = _law(n, clock, law.velocity_estimator, law.force_sensor, axis.drive.gain)
-    return radius_of(close(sample_axis(axis, velocity), linear_law(laws, clock.period, float(direction))))
-
-
-def spectral_radius(n: dict[str, Any], clock: Clock, **options: Any) -> np.ndarray:
-    """Largest modulus of the poles for many loops at once, shape (m,); arguments of :func:`sampled_loops`."""
-    return radius_of(sampled_loops(n, clock, **options))
-
-
-def radius_of(loops: SampledLoop) -> np.ndarray:
-    """Largest modulus of the poles of closed ``loops``, shape (m,)."""
-    return np.atleast_1d(np.abs(np.linalg.eigvals(loops.A)).max(axis=-1))
+    form = linear_law(_smooth(law, clock, direction, axis.drive.gain), clock.period, float(direction))
+    return close(sample_axis(axis, velocity), form)
 
 
 def recursion_poles(law: ImpedanceLaw, clock: Clock) -> np.ndarray:
     """Poles of the law's recursion in its own current while the carriage sticks, largest first; 0: no recursion."""
-    poles = own_poles(_law(numbers(law, law.estimate), clock, law.velocity_estimator, law.force_sensor), clock.period)
+    poles = own_poles(_smooth(law, clock), clock.period)
     return sorted_poles(poles) if poles.size else np.zeros(1, dtype=complex)
 
 
-def recursion_radius(n: dict[str, Any], clock: Clock, velocity_estimator: Any = TWO_TAP) -> np.ndarray:
-    """Largest modulus of :func:`recursion_poles` for many laws at once, shape (m,); ``n`` as from :func:`numbers`."""
-    poles = own_poles(_law(n, clock, velocity_estimator, False), clock.period)
-    return np.abs(poles).max(axis=-1, initial=0.0)
+def _smooth(law: ImpedanceLaw, clock: Clock, direction: int = 1, force_gain: float = 1.0) -> Law:
+    """``law`` as a controller with the viscous friction of one ``direction`` in both, and no Coulomb friction."""
+    viscous = law.estimate.viscous[0 if direction > 0 else 1]
+    smooth = replace(law, estimate=FrictionModel(law.estimate.mass, viscous, viscous, 0.0, 0.0))
+    return law_with(gains_of(smooth, clock.period, force_gain, clock.current_time_constant, clock.delay), clock.delay)
 
 
-def _law(n: dict[str, Any], clock: Clock, velocity_estimator: Any, force_sensor: bool, force_gain: float = 1.0) -> Law:
-    friction = SimpleNamespace(mass=n["mass_hat"], viscous=(n["viscous_hat"],) * 2, coulomb=(0.0, 0.0))
-    law = Parameters(
-        n["apparent_mass"],
-        n["damping"],
-        friction,
-        (n["filter"], n["current_filter"]),
-        velocity_estimator,
-        n["stiffness"],
-        current_factor=n["current_factor"],
-        force_sensor=force_sensor,
-    )
-    gains = gains_of(law, clock.period, force_gain, clock.current_time_constant, clock.delay)
-    return law_with(gains, clock.delay)
-
-
-def impedance_response(n: dict[str, Any], clock: Clock, omega: np.ndarray, **options: Any) -> np.ndarray:
-    """Impedance tau_e/velocity of many sampled loops (m,) at ``omega`` (w,) [rad/s] -> (m, w) complex [N/(m/s)].
-
-    ``options`` as for :func:`sampled_loops`; the velocity is the mean over a period.
-    """
-    return 1.0 / np.atleast_2d(sampled_loops(n, clock, **options).admittance(np.asarray(omega, dtype=float)))
-
-
-def impedance_error(loops: SampledLoop, n: dict[str, Any], band: float = 20.0, points: int = 40) -> np.ndarray:
+def impedance_error(loops: SampledLoop, law: ImpedanceLaw, band: float = 20.0, points: int = 40) -> np.ndarray:
     """Rms relative error of the apparent impedance of the closed ``loops`` over (0, ``band``] rad/s, shape (m,).
 
-    The target is ``M_a s + B + K/s`` of the numbers ``n``, at the middles of ``points`` equal spans; 0.1 means 10 %.
+    The target is ``M_a s + B + K/s`` of their ``law``, at the middles of ``points`` equal spans; 0.1 means 10 %.
     """
     omega = (np.arange(points) + 0.5) * band / points
     s = 1j * omega
     mass, damping, stiffness = (
-        np.atleast_1d(np.asarray(n[name], dtype=float))[:, None] for name in ("apparent_mass", "damping", "stiffness")
+        np.atleast_1d(np.asarray(value, dtype=float))[:, None] for value in (law.mass, law.damping, law.stiffness)
     )
     target = mass * s + damping + stiffness / s
     achieved = 1.0 / np.atleast_2d(loops.admittance(omega))
     return np.sqrt(np.mean(np.abs(achieved / target - 1.0) ** 2, axis=1))
-
-
-def relay_oscillation(
-    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, wall: float = 0.0
-) -> tuple[float, float] | None:
-    """The oscillation of :func:`relay_oscillations` for a single ``law``."""
-    return relay_oscillations(law, plant, clock, wall)[0]
 
 
 def relay_oscillations(
@@ -212,7 +131,7 @@ def relay_oscillations(
 ) -> list[tuple[float, float] | None]:
     """Predict the oscillation that the Coulomb compensation can sustain: (frequency [rad/s], speed amplitude [m/s]).
 
-    One per law if the estimate of ``law`` holds arrays (m,), as :meth:`.ImpedanceLaw.with_errors` returns them.
+    A list of one, or one per law where ``law`` holds arrays (m,), as :meth:`.ImpedanceLaw.with_errors` returns them.
 
     The law applies ``r c Fh_c sign(v_k)`` at once, but subtracts the effect of its own current only through the
     filter: after a reversal it over-compensates for a while. Describing function of the two relays, plant and law:
@@ -436,9 +355,9 @@ def contact_map(
 
 
 def _radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, touched: Environment) -> np.ndarray:
-    options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor, "environment": touched}
-    each = [spectral_radius(numbers(law, plant, direction), clock, **options) for direction in plant.directions]
-    return np.max(each, axis=0)
+    return np.max(
+        [sampled_loop(law, plant, clock, direction, touched).radius for direction in plant.directions], axis=0
+    )
 
 
 def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> float | None:

@@ -24,11 +24,8 @@ from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.passivity import (
     Clock,
-    numbers,
     recursion_poles,
-    recursion_radius,
     sampled_loop,
-    spectral_radius,
 )
 from emps_design.control.nested_loops import PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
 from emps_design.control.sampled import MARGINAL
@@ -179,29 +176,23 @@ def drift_threshold(period: float, resolution: float, velocity_estimator: Any = 
     return max(resolution / period / forgets(velocity_estimator), 1e-6)
 
 
-def worst_radius(
-    law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float, masses: Any, filters: Any
-) -> np.ndarray:
-    """Largest pole modulus over the corners of ``mismatch``, sliding and sticking, for arrays of M_a and filter.
+def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> np.ndarray:
+    """Largest pole modulus over the corners of ``mismatch``, sliding and sticking.
 
-    ``masses`` [kg] and ``filters`` [rad/s] broadcast together; the result has their shape. ``law`` gives the rest.
+    Where M_a and filter of ``law`` are arrays, the result has the shape to which they broadcast.
     """
-    masses, filters = np.broadcast_arrays(np.asarray(masses, dtype=float), np.asarray(filters, dtype=float))
-    shape, masses, filters = masses.shape, masses.ravel(), filters.ravel()
-    errors = np.array([(0.0, 0.0), *product((-mismatch, mismatch), repeat=2)] if mismatch else [(0.0, 0.0)])
-    corner = np.repeat(1.0 + errors.T, masses.size, axis=1)  # of mass and viscous friction, for every pair in turn
-    worst = np.zeros(corner.shape[1])
-    for direction in plant.directions:
-        n = numbers(law, plant, direction)
-        n |= {"mass_hat": n["mass_hat"] * corner[0], "viscous_hat": n["viscous_hat"] * corner[1]}
-        n |= {"apparent_mass": np.tile(masses, len(errors)), "filter": np.tile(filters, len(errors))}
-        if law.current_filter is None:
-            n["current_filter"] = n["filter"]
-        options = {"velocity_estimator": law.velocity_estimator, "force_sensor": law.force_sensor}
-        worst = np.maximum(worst, spectral_radius(n, clock, **options))
-        if not law.force_sensor:
-            worst = np.maximum(worst, recursion_radius(n, clock, law.velocity_estimator))
-    return worst.reshape(len(errors), -1).max(axis=0).reshape(shape)
+    corners = [{"mass": 0.0, "viscous": 0.0}, *(_sliding_corners(mismatch))]
+    beside = (1,) * len(np.broadcast_shapes(np.shape(law.mass), np.shape(law.filter)))
+    off = law.with_errors({name: errors.reshape(-1, *beside) for name, errors in stacked(corners).items()})
+    radii = [sampled_loop(off, plant, clock, direction).radius for direction in plant.directions]
+    if not law.force_sensor:
+        radii.append(np.abs(recursion_poles(off, clock)).max(axis=-1))
+    return np.max(np.broadcast_arrays(*radii), axis=(0, 1))
+
+
+def _sliding_corners(mismatch: float) -> list[dict[str, float]]:
+    """Corners of the errors that matter to a carriage that slides, where Coulomb friction is constant."""
+    return corners_of({"mass": mismatch, "viscous": mismatch}) if mismatch else []
 
 
 @dataclass(frozen=True)
@@ -247,8 +238,9 @@ def stability_map(
     masses = np.geomspace(plant.mass / 100, 1.5 * plant.mass, 30) if masses is None else np.asarray(masses, dtype=float)
     nyquist = math.pi / clock.period
     filters = np.geomspace(nyquist / 300, 0.99 * nyquist, 20) if filters is None else np.asarray(filters, dtype=float)
-    grid = np.meshgrid(masses, filters)
-    radius = np.array([worst_radius(law, plant, clock, check_mismatch(e), *grid) for e in mismatches])
+    grid_mass, grid_filter = np.meshgrid(masses, filters)
+    laws = replace(law, mass=grid_mass, filter=grid_filter)
+    radius = np.array([worst_radius(laws, plant, clock, check_mismatch(e)) for e in mismatches])
     return StabilityMap(masses, filters, np.asarray(mismatches, dtype=float), law.damping, radius)
 
 
@@ -281,7 +273,7 @@ def smallest_mass(
 
 def _smallest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> float | None:
     masses = np.geomspace(plant.mass * 1e-3, plant.mass, 200)
-    bad = np.flatnonzero(worst_radius(law, plant, clock, mismatch, masses, law.filter) > 1.0 + MARGINAL)
+    bad = np.flatnonzero(worst_radius(replace(law, mass=masses), plant, clock, mismatch) > 1.0 + MARGINAL)
     if not len(bad):
         return float(masses[0])
     if bad[-1] == len(masses) - 1:
@@ -289,7 +281,7 @@ def _smallest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mism
     lo, hi = masses[bad[-1]], masses[bad[-1] + 1]
     while hi / lo > 1.001:
         middle = math.sqrt(lo * hi)
-        if worst_radius(law, plant, clock, mismatch, middle, law.filter) > 1.0 + MARGINAL:
+        if worst_radius(replace(law, mass=middle), plant, clock, mismatch) > 1.0 + MARGINAL:
             lo = middle
         else:
             hi = middle
@@ -301,15 +293,15 @@ def nearest_stable(
     plant: FrictionModel,
     clock: Clock,
     mismatch: float,
-    accept: Callable[[ImpedanceLaw, np.ndarray, np.ndarray], np.ndarray] | None = None,
+    accept: Callable[[ImpedanceLaw], np.ndarray] | None = None,
     calm: Callable[[ImpedanceLaw], bool] | None = None,
 ) -> dict[str, float] | None:
     """Return the law nearest to ``law`` that is stable at every corner of ``mismatch``; None if there is none.
 
     Mass and filter are varied first, with more damping only if none is stable. Acceleration and current share the
     filter. The distance is that of the logarithms of M_a and filter; the grid has steps of a few percent.
-    ``accept(law, masses, filters)`` may refuse masses [kg] and filters [rad/s] for other reasons, and ``calm(law)``
-    laws under which the carriage swings though the poles are stable.
+    ``accept(laws)`` may refuse some of many laws for other reasons, and ``calm(law)`` one under which the carriage
+    swings though the poles are stable.
     """
     least = 1.05 * mismatch * max(plant.viscous)
     damping = law.damping if law.damping > mismatch * max(plant.viscous) else least
@@ -327,7 +319,7 @@ def _nearest_in_mass_and_filter(
     plant: FrictionModel,
     clock: Clock,
     mismatch: float,
-    accept: Callable[[ImpedanceLaw, np.ndarray, np.ndarray], np.ndarray] | None,
+    accept: Callable[[ImpedanceLaw], np.ndarray] | None,
     calm: Callable[[ImpedanceLaw], bool] | None,
 ) -> dict[str, float] | None:
     """:func:`nearest_stable` at the damping of ``law``."""
@@ -337,9 +329,10 @@ def _nearest_in_mass_and_filter(
     filters = np.unique(np.concatenate([[wanted_filter], np.geomspace(nyquist / 300, 0.99 * nyquist, 30)]))
     grid_mass, grid_filter = np.meshgrid(masses, filters)
     both = replace(law, current_filter=None)
-    stable = worst_radius(both, plant, clock, mismatch, grid_mass, grid_filter) <= 1.0 + MARGINAL
+    laws = replace(both, mass=grid_mass, filter=grid_filter)
+    stable = worst_radius(laws, plant, clock, mismatch) <= 1.0 + MARGINAL
     if accept is not None and stable.any():
-        stable[stable] = accept(both, grid_mass[stable], grid_filter[stable])
+        stable[stable] = accept(replace(both, mass=grid_mass[stable], filter=grid_filter[stable]))
     if not stable.any():
         return None
     distance = np.where(stable, np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter)), np.inf)
@@ -368,13 +361,10 @@ def impedance_loops(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> tup
     1.77
     """
     plant = FrictionModel.of(axis)
-    corners = (
-        corners_of({"mass": mismatch, "viscous": mismatch}) if mismatch else []
-    )  # Coulomb friction is constant while sliding
     period, loops = axis.sampling.period, []
     for direction in plant.directions:
         sampled = sample_axis(axis, direction * SPEED)
-        for errors in ({}, *corners):
+        for errors in ({}, *_sliding_corners(mismatch)):
             form = linear_law(law_for(axis, law.with_errors(errors), period), period, float(direction))
             loops.append(NestedLoop(WHOLE, PLANT_INPUT, at_plant_input(sampled, form), errors))
     return tuple(loops)

@@ -154,7 +154,7 @@ def _memory(order, delay):
 def default_filter(period: float) -> float:
     """Low-pass for acceleration and current where none is asked for, 0.5/period: 500 rad/s at 1 kHz.
 
-    Slower, the Coulomb compensation hunts (see ``relay_oscillation``); faster, the smallest safe M_a grows.
+    Slower, the Coulomb compensation hunts (see ``relay_oscillations``); faster, the smallest safe M_a grows.
     """
     return 0.5 / period
 

@@ -14,7 +14,7 @@ from emps_design.comanipulation.scenario import CASCADE, NO_SENSOR, SENSOR, comp
 from emps_design.comanipulation.study import mismatch_study
 from emps_design.comanipulation.task import MEASURES, NAMES, Task, guided_task, measure, pushed_task
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, impedance_law, law_for
-from emps_design.control.impedance.passivity import Clock, extended_loop, largest_wall, relay_oscillation, sampled_loop
+from emps_design.control.impedance.passivity import Clock, extended_loop, largest_wall, relay_oscillations, sampled_loop
 from emps_design.control.impedance.robustness import VERDICTS, break_away, creep_speed, verdict
 from emps_design.errors import AxisError, InputError
 from emps_design.machines import machine
@@ -216,7 +216,7 @@ def test_analysis_and_simulation_agree_on_432_designs(axis, plant, clock):
             seen.add(expected)
             continue
         assert expected != "unstable", f"{design}: unstable by its poles, simulated {simulated}"
-        relay = relay_oscillation(law, plant, clock)
+        (relay,) = relay_oscillations(law, plant, clock)
         small = max(abs(measures.end_min_v[i]), abs(measures.end_max_v[i])) < 1e-3
         assert relay is not None or small, f"{design}: analysis {expected}, simulation {simulated}"
         explained += 1
@@ -229,7 +229,7 @@ def test_analysis_and_simulation_agree_on_432_designs(axis, plant, clock):
 )
 def test_predicted_oscillation_of_the_relay_is_there(axis, plant, clock, mass, filter, error):
     law = impedance_law(axis, mass, 100.0, filter).with_errors(over(error))
-    frequency, speed = relay_oscillation(law, plant, clock)
+    ((frequency, speed),) = relay_oscillations(law, plant, clock)
     found = run_task(axis, law, guided_task(1e-3, 20.0))
     v = found.v[-6000:]
     rising = np.flatnonzero((v[:-1] <= 0.0) & (v[1:] > 0.0))
