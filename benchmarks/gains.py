@@ -19,7 +19,6 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
-from emps_design.control.velocity.comparison import sampled_step
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import IP, PI
 from emps_design.control.velocity.limits import (
@@ -31,6 +30,7 @@ from emps_design.control.velocity.limits import (
 )
 from emps_design.control.velocity.load_range import LoadRange, loaded, margins_over_range
 from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.verdict import sampled_step
 from emps_design.errors import SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine

@@ -64,8 +64,7 @@ from emps_design.control.impedance.robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.nested_loops import NestedLoop, worst_loop
-from emps_design.control.sampled import MARGINAL
+from emps_design.control.sampled import MARGINAL, NestedLoop, worst_loop
 from emps_design.errors import SpecificationError
 from emps_design.laws.friction_model import PARAMETERS, left_out
 from emps_design.messages import Message, grave, note, warning

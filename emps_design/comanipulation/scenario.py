@@ -15,7 +15,7 @@ from emps_design.comanipulation.study import PLANTS, SEED, TWO_QUADRANT, WORKERS
 from emps_design.comanipulation.task import Task, fitted_task, guided_task, pushed_task, usual_scale
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, equivalent_impedance, impedance_law
 from emps_design.control.impedance.robustness import break_away
-from emps_design.control.nested_loops import worst_loop
+from emps_design.control.sampled import worst_loop
 from emps_design.laws.library import ip_velocity
 from emps_design.messages import Message, note, warning
 from emps_design.quantities import one_two_five

@@ -101,9 +101,8 @@ class GainsRequest(LoadRangeRequest, PositionLoopRequest, VelocityLoopRequest):
 
 def answer(request: GainsRequest) -> Reply:
     """The gains, their margins in every loop, and the verdict over all loops and machines of the request."""
-    from emps_design.control.velocity.comparison import gains_document
     from emps_design.control.velocity.specification import check_specification
-    from emps_design.control.verdict import DesignVerdict
+    from emps_design.control.verdict import DesignVerdict, gains_document
 
     check_specification(request.crossover, request.bandwidth, request.phase_margin_deg)
     errors = _errors(request)
@@ -188,7 +187,7 @@ class _Measured:
         around: PositionLoopDesign | None,
         limits: dict[str, float],
     ):
-        from emps_design.control.nested_loops import VELOCITY_LOOP, WHOLE
+        from emps_design.control.sampled import VELOCITY_LOOP, WHOLE
         from emps_design.frequency_response.loop import measured_document, measured_margins, over_limits
 
         axes = {VELOCITY_LOOP: design.loop_axis}

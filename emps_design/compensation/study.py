@@ -25,7 +25,7 @@ from emps_design.compensation.feedforward import (
     reversal_of,
     terms_of,
 )
-from emps_design.control.nested_loops import nested_loops, worst_loop
+from emps_design.control.sampled import nested_loops, worst_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import Law, law_of
 from emps_design.messages import Message, warning

@@ -5,6 +5,18 @@ velocity loop is broken at the plant input with the position loop open, the posi
 velocity loop closed, the whole at the plant input, where a delay or a current loop acts. Natural frequency ``|s|`` and
 damping ``-Re s / |s|`` are those of the least damped pole of the closed loop (``s = ln(z) / T`` if sampled) that is not
 far above crossover and bandwidth; a real pole has a damping of 1.
+
+:class:`ContinuousLoop` is a loop in the limit of ever faster sampling: the law without hold or estimator, the plant
+with all its lags. The law's own kernel is set up for periods far below the axis's and extrapolated to zero
+(Richardson), so every law has this limit, a user's too, without a second formula. What remains are the lags of the
+axis: current loop, computation delay, lags and delays among its effects. With ``u = F(s) r + H(s) q`` for the law and
+``q = P(s) u`` for the plant the loop is
+
+    -H P                          broken at the plant input
+    F P / (1 - (F + H) P)         broken at the position error
+    F s P / (1 - (F s + H) P)     broken at the velocity error, where the reference is a velocity
+
+and its poles are the roots of ``1 - H P``, delays included.
 """
 
 from __future__ import annotations
@@ -17,22 +29,30 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.advice.advice import where_in_words
 from emps_design.axis import Axis
-from emps_design.control.discretisation import SampledPlant, law_peaks, sample_axis
-from emps_design.control.margins import Margins, Row, further_down, loop_margins
-from emps_design.control.nested_loops import (
+from emps_design.control.discretisation import (
+    SampledPlant,
+    frequencies_around,
+    law_peaks,
+    oscillations,
+    sample_axis,
+    sample_plant,
+)
+from emps_design.control.linear_plant import LinearPlant
+from emps_design.control.margins import MOST_GAIN, Margins, Row, further_down, loop_margins, periodic_response, transfer
+from emps_design.control.sampled import (
+    MARGINAL,
     PLANT_INPUT,
     POSITION_ERROR,
-    ContinuousLoop,
-    LawAt,
     NestedLoop,
+    SampledLoop,
     at_plant_input,
     at_position_error,
+    close,
     loop_in_words,
-    where_in_words,
     worst_loop,
 )
-from emps_design.control.sampled import MARGINAL, SampledLoop, close, transfer
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.load_range import LoadRange, relative_mismatch
 from emps_design.control.verdict import Case, cases_of
@@ -53,9 +73,16 @@ ROWS: tuple[Row, ...] = (
     ("natural frequency", "natural_frequency", "rad/s", 1.0),
     ("damping", "damping", "", 1.0),
 )
-MOST_GAIN = 1e4  # a larger gain margin of a continuous loop counts as unbounded
 FAR = 5.0  # times the larger of crossover and bandwidth: faster poles do not count as the loop's own
 _REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
+
+SHORTER = (1e-3, 5e-4, 2.5e-4)  # of the period, at which the law is set up
+WEIGHTS = (1.0 / 3.0, -2.0, 8.0 / 3.0)  # of these three in their limit: errors of h and h^2 cancel
+HIGHEST = 30.0  # upper end of the frequency grid, in Nyquist frequencies
+STARTS, MOST_DELAY = 16, 100  # samples per period and largest delay in samples of the loop that gives initial poles
+SLOWEST = 8  # poles that are refined
+
+LawAt = Callable[[float], LinearLaw]  # the linear form of a law at a period [s]
 
 
 @dataclass(frozen=True)
@@ -349,6 +376,110 @@ def _velocity_error(loop: SampledLoop, form: LinearLaw, plant: SampledPlant) -> 
         return ahead / (1.0 + loop.loop_gain(w) - ahead)
 
     return response
+
+
+@dataclass(frozen=True)
+class ContinuousLoop:
+    """The loop of a law, given as ``law`` at any period [s], around ``plant`` with an additional ``delay`` [s].
+
+    ``period`` [s] is the axis's own and scales the frequency grid.
+    """
+
+    law: LawAt
+    plant: LinearPlant
+    delay: float
+    period: float
+
+    @classmethod
+    def of(cls, law: LawAt, axis: Axis, sampled: SampledPlant) -> ContinuousLoop:
+        """The loop of ``law`` on the plant of ``axis``, of which ``sampled`` is the sampled one."""
+        sampling = axis.sampling
+        late = sampled.linear.delay + sampling.computation_delay * sampling.period
+        return cls(law, sampled.linear, late, sampling.period)
+
+    @cached_property
+    def _forms(self) -> list[tuple[float, float, LinearLaw]]:
+        periods = [share * self.period for share in SHORTER]
+        return [(weight, h, self.law(h)) for weight, h in zip(WEIGHTS, periods, strict=True)]
+
+    def by_reference(self, s: np.ndarray) -> np.ndarray:
+        """F: command over reference at ``s`` [1/s] of any shape."""
+        return self._limit(s, 0)
+
+    def by_position(self, s: np.ndarray) -> np.ndarray:
+        """H: command over position at ``s`` [1/s]."""
+        return self._limit(s, 1)
+
+    def _limit(self, s: np.ndarray, place: int) -> np.ndarray:
+        return np.asarray(sum(weight * _response(form, h, s, place) for weight, h, form in self._forms))
+
+    def position(self, s: np.ndarray) -> np.ndarray:
+        """P: encoder's position over command at ``s`` [1/s], delays included."""
+        s = np.asarray(s, dtype=complex)
+        return transfer(self.plant.A, self.plant.B, self.plant.C, 0.0, s) * np.exp(-s * self.delay)
+
+    def at_plant_input(self, s: np.ndarray) -> np.ndarray:
+        """The loop broken at the plant input at ``s`` [1/s]."""
+        return -self.by_position(s) * self.position(s)
+
+    def at_position_error(self, s: np.ndarray) -> np.ndarray:
+        """The loop broken at the position error at ``s`` [1/s]."""
+        ahead, plant = self.by_reference(s), self.position(s)
+        return ahead * plant / (1.0 - (ahead + self.by_position(s)) * plant)
+
+    def at_velocity_error(self, s: np.ndarray) -> np.ndarray:
+        """The loop of a law that follows a velocity, broken at the velocity error, at ``s`` [1/s]."""
+        ahead, plant = self.by_reference(s) * s, self.position(s)
+        return ahead * plant / (1.0 - (ahead + self.by_position(s)) * plant)
+
+    def followed(self, s: np.ndarray) -> np.ndarray:
+        """Position over reference in the closed loop at ``s`` [1/s]."""
+        return self.by_reference(s) * self.position(s) / (1.0 + self.at_plant_input(s))
+
+    def frequencies(self, sampled: SampledPlant) -> np.ndarray:
+        """Return a frequency grid [rad/s]: that of the plant ``sampled``, extended upwards, fine at resonances."""
+        nyquist = np.pi / self.period
+        beyond = np.geomspace(nyquist, HIGHEST * nyquist, 150)
+        grid = np.concatenate([sampled.frequencies(), beyond, frequencies_around(oscillations(self.plant.A))])
+        return np.unique(grid[(grid > 0.0) & (grid <= HIGHEST * nyquist)])
+
+    @cached_property
+    def poles(self) -> np.ndarray:
+        """The slowest poles [1/s], slowest first, one of each conjugate pair, refined on the response."""
+        h = max(self.period / STARTS, self.delay / MOST_DELAY)
+        plant = sample_plant(replace(self.plant, delay=self.delay), h)
+        loop = close(plant, self.law(h))
+        z = loop.poles[np.abs(loop.poles) > 1e-6]
+        s = np.log(z) / (loop.cycle * h)
+        s = s[s.imag >= 0.0]
+        slow = [self._refined(pole) for pole in s[np.argsort(-s.real)][:SLOWEST]]
+        return np.array(sorted((pole for pole in slow if pole is not None), key=lambda pole: -pole.real), dtype=complex)
+
+    def _refined(self, pole: complex) -> complex | None:
+        """The root of 1 - H P near ``pole`` by Newton's method; None if there is none, as for an estimator's pole."""
+        s = complex(pole)
+        for _ in range(30):
+            step = 1e-6 * max(abs(s), 1e-9 / self.period)
+            try:
+                here, beside = 1.0 + self.at_plant_input(np.array([s, s + step]))
+            except np.linalg.LinAlgError:  # a pole of law or plant alone, which the loop does not have
+                return None
+            change = here * step / (here - beside) if here != beside else 0.0
+            s += change
+            if not np.isfinite(s) or abs(s - pole) > 0.5 * abs(pole):
+                return None
+            if abs(change) <= 1e-8 * abs(s):
+                return s
+        return None
+
+
+def _response(form: LinearLaw, period: float, s: np.ndarray, place: int) -> np.ndarray:
+    """Command over the input at ``place`` of a law at ``s`` [1/s]; with several rates the mean over a cycle."""
+    s = np.asarray(s, dtype=complex)
+    matrices = form.A, form.B[..., place], form.C, form.D[..., place]
+    if form.cycle == 1:
+        return transfer(*matrices, np.exp(s * period))
+    return periodic_response(*matrices, -1j * s.ravel() * period).reshape(s.shape)
 
 
 def _continuous(loop: ContinuousLoop, plant: SampledPlant, name: str, follows: str) -> LoopMargins:

@@ -25,18 +25,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.advice.advice import where_in_words
 from emps_design.control.discretisation import SampledPlant, sample_axis
 from emps_design.control.linear_plant import POSITION, VELOCITY, Environment, attached, felt
 from emps_design.control.margins import Margins, loop_margins
-from emps_design.control.nested_loops import (
+from emps_design.control.sampled import (
     PLANT_INPUT,
     VELOCITY_LOOP,
     NestedLoop,
+    SampledLoop,
+    close,
     loop_in_words,
-    where_in_words,
     worst_loop,
 )
-from emps_design.control.sampled import SampledLoop, close
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_law
 from emps_design.control.velocity.specification import closed_form_in_words

@@ -1,10 +1,18 @@
-"""Margins of a loop from its frequency response: phase, gain and delay, for one loop or for thousands at once.
+"""The frequency response of linear systems and the margins of loops, of one or of thousands at once.
 
-Stability is judged by the poles, never here: an unstable loop has no margins, and every caller checks that first. The
-phase margin is the additional phase *lag* at a crossover that moves the response to -1, the smallest over all
-crossovers; the delay margin is the smallest ratio of that lag to its frequency; the gain margin is the smallest factor
-above one that moves the response to -1, frequency 0 and the Nyquist frequency included, and the gain reduction margin
-the largest factor below one that does (a plant that is unstable by itself needs a least gain).
+A system ``x[k+1] = A x[k] + b u[k], y[k] = c x[k] + d u[k]``, and a continuous one likewise, has the transfer function
+``c (z I - A)^-1 b + d``. Arrays with leading axes are as many systems.
+
+Stability is judged by the poles: an unstable loop has no margins, and every caller checks that first. The phase margin
+is the additional phase *lag* at a crossover that moves the response to -1, the smallest over all crossovers; the delay
+margin is the smallest ratio of that lag to its frequency; the gain margin is the smallest factor above one that moves
+the response to -1, frequency 0 and the Nyquist frequency included, and the gain reduction margin the largest factor
+below one that does (a plant that is unstable by itself needs a least gain).
+
+A loop of different rates is periodic and lifted to the rate at which it repeats. The matrices of the samples of a cycle
+are stacked along the first axis: ``x[k+1] = A[j] x[k] + B[j] w[k]`` with j = k modulo the length of the cycle. From
+cycle to cycle the state is multiplied by the monodromy matrix ``A[-1] ... A[1] A[0]``, whose eigenvalues are the exact
+poles (Bittanti, Colaneri, Periodic Systems, 2009); its margins are those of the poles.
 """
 
 from __future__ import annotations
@@ -44,7 +52,13 @@ MARGINS: tuple[Row, ...] = (
 )
 LOWEST = "lowest_crossover"  # rad/s, key in arrays: first crossover, wherever the least phase margin is
 AT_REST = 1e-3  # ratio of imaginary to real part below which a loop below 0 dB at the lowest frequency counts as real
-ROUNDING = 1e-6  # rad, rounding of the lag of a loop at the limit of stability
+NO_LAG = 1e-6  # rad, rounding of the lag of a loop at the limit of stability
+MOST_GAIN = 1e4  # above this a gain margin is unbounded
+_NEAR = 30.0  # samples; up to this delay every tenth of a sample is tried
+_TURNS, _FACTORS = np.radians(np.arange(1.0, 181.0)), np.geomspace(1.0, MOST_GAIN, 241)[1:]
+
+AT_ONCE = 100_000  # systems solved together
+ROUNDING = 32.0 * np.finfo(float).eps  # relative error of a coefficient
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -138,7 +152,7 @@ def margin_arrays(
             frequencies[place + 1],
         )
         lag = np.mod(np.angle(response(w, where)) + np.pi, 2.0 * np.pi)
-        lag[lag > 2.0 * np.pi - ROUNDING] = 0.0
+        lag[lag > 2.0 * np.pi - NO_LAG] = 0.0
         _keep_smallest(where, lag, {"phase_margin_deg": np.degrees(lag), "crossover": w}, margins)
         _keep_smallest(where, w, {LOWEST: w}, margins)
         delay = lag / w
@@ -313,3 +327,200 @@ def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.nd
         a[active], fa[active], b[active], fb[active] = a_next, fa_next, c, fc
         active = active[(np.abs(fc) > 1e-13) & (moved > 1e-13)]
     return np.exp(root)
+
+
+def transfer(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: Any, z: np.ndarray) -> np.ndarray:
+    """Return ``c (z I - A)^-1 b + d`` at ``z`` of any shape: (..., n, n), (..., n), (..., n), (...) -> (..., *z.shape).
+
+    >>> delay = transfer(np.zeros((1, 1)), np.ones(1), np.ones(1), 0.0, np.array([1j, -1.0]))
+    >>> bool(np.allclose(delay, [-1j, -1.0]))
+    True
+    """
+    return transfers(A, b, c[None], np.asarray(d)[None], z)[0]
+
+
+def transfers(A: np.ndarray, b: np.ndarray, C: np.ndarray, D: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return :func:`transfer` for each of several ``C`` (o, ..., n) and ``D`` (o, ...), from systems solved once."""
+    if A.ndim == 3 and len(A) > 1:
+        alike = _rank_one(A, b)
+        if alike is not None:
+            return _rank_one_transfers(A[0], b[0], *alike, C, D, z)
+        if len(A) * z.size > AT_ONCE:  # split to limit memory
+            half = len(A) // 2
+            pieces = [transfers(A[i], b[i], C[:, i], D[:, i], z) for i in (slice(half), slice(half, None))]
+            return np.concatenate(pieces, axis=1)
+    states = _solved(A, b[..., None], z)[..., 0]
+    responses = np.sum(C[..., None, :] * states, axis=-1) + D[..., None]
+    return responses.reshape((*responses.shape[:-1], *z.shape))
+
+
+def _solved(A: np.ndarray, columns: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """``(z I - A)^-1 columns`` (..., z.size, n, columns)."""
+    return np.linalg.solve(z.reshape(-1, 1, 1) * np.eye(A.shape[-1]) - A[..., None, :, :], columns[..., None, :, :])
+
+
+def _rank_one(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return a column (n,) and shares (m, n + 1) with each ``[A b]`` the first plus column times shares; else None.
+
+    This holds for loops around one plant with laws of one output that differ in the gains of that output.
+    """
+    tables = np.concatenate([A, b[..., None]], axis=-1)
+    apart = tables - tables[0]
+    system, row, place = np.unravel_index(np.argmax(np.abs(apart)), apart.shape)
+    column = apart[system, :, place]
+    if column[row] == 0.0:
+        return column, apart[:, row]
+    shares = apart[:, row] / column[row]
+    residual = np.abs(apart - column[:, None] * shares[:, None, :])
+    return (column, shares) if np.all(residual <= ROUNDING * (np.abs(tables) + np.abs(tables[0]))) else None
+
+
+def _rank_one_transfers(A: Any, b: Any, column: Any, shares: Any, C: Any, D: Any, z: np.ndarray) -> np.ndarray:
+    """Transfer functions of systems that are :func:`_rank_one`, by the Sherman-Morrison formula."""
+    first, moved = np.moveaxis(_solved(A, np.column_stack([b, column]), z), -1, 0)
+    rows = shares[:, :-1]
+    back = (shares[:, -1:] + rows @ first.T) / (1.0 - rows @ moved.T)
+    responses = np.stack([c @ first.T + (c @ moved.T) * back + d[..., None] for c, d in zip(C, D, strict=True)])
+    return responses.reshape(*responses.shape[:-1], *z.shape)
+
+
+def monodromy(A: np.ndarray) -> np.ndarray:
+    """The product ``A[-1] ... A[0]`` (..., n, n) of the matrices (cycle, ..., n, n).
+
+    >>> monodromy(np.array([[[0.5]], [[3.0]]])).tolist()
+    [[1.5]]
+    """
+    product = A[0]
+    for matrix in A[1:]:
+        product = matrix @ product
+    return product
+
+
+def lifted(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return one step for a whole cycle, with the inputs and outputs of all its samples concatenated.
+
+    (c, n, n), (c, n, i), (c, o, n), (c, o, i) -> (n, n), (n, c i), (c o, n), (c o, c i).
+    """
+    cycle, size, count = B.shape
+    state, driven = np.eye(size), np.zeros((size, cycle * count))
+    outputs, through = [], []
+    for j in range(cycle):
+        own = slice(j * count, (j + 1) * count)
+        outputs.append(C[j] @ state)
+        feedthrough = C[j] @ driven
+        feedthrough[:, own] += D[j]
+        through.append(feedthrough)
+        state, driven = A[j] @ state, A[j] @ driven
+        driven[:, own] += B[j]
+    return state, driven, np.concatenate(outputs), np.concatenate(through)
+
+
+def periodic_response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return the response of a periodic system at the input frequency, the mean over a cycle.
+
+    (c, n, n), (c, n), (c, n), (c,), ``angle`` (f,) [rad] per sample -> (f,). The aliases that the output contains too
+    are left out.
+    """
+    cycle, size = b.shape
+    turn = np.exp(1j * angle)[:, None, None]
+    forth = turn ** np.arange(cycle + 1)[:, None, None, None]  # the input, sample by sample
+    driven = np.zeros((angle.size, size, 1), dtype=complex)
+    for j in range(cycle):
+        driven = A[j] @ driven + b[j][:, None] * forth[j]
+    x = np.linalg.solve(forth[cycle] * np.eye(size) - monodromy(A), driven)
+    total = np.zeros((angle.size, 1, 1), dtype=complex)
+    for j in range(cycle):
+        total += (c[j][None] @ x + d[j] * forth[j]) / forth[j]
+        x = A[j] @ x + b[j][:, None] * forth[j]
+    return total.ravel() / cycle
+
+
+def periodic_margins(
+    opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float, delayed: Callable[[float], float] | None
+) -> Margins:
+    """Return the margins at one place of a periodic loop, from the poles of the loop closed with a factor there.
+
+    ``opened`` (c, n, n), ``column`` (c, n) and ``row`` (c, n) are the loop broken at that place; ``period`` [s] of a
+    sample. The factor exp(-j phi) that moves a pole to the unit circle gives the phase margin, a real one the gain
+    margin; ``delayed(delay)`` is the largest modulus of the poles with an additional ``delay`` [s] at that place;
+    without it there is no delay margin.
+    """
+
+    def radii(factors: np.ndarray) -> np.ndarray:
+        return monodromy_radii(opened, column, row, factors)
+
+    if radii(np.ones(1))[0] > 1.0 + 1e-9:
+        return Margins(stable=False, period=period)
+    phase = _first(lambda turns: radii(np.exp(-1j * turns)), 0.0, _TURNS)
+    gain = _first(radii, 1.0, _FACTORS)
+    less = _first(lambda factors: radii(1.0 / factors), 1.0, _FACTORS)
+    delay = None
+    if phase is not None and delayed is not None:
+        each = np.vectorize(delayed, otypes=[float])
+        near = _first(each, 0.0, period * np.arange(0.1, _NEAR, 0.1), at_once=1)
+        delay = near if near is not None else _late_delay(opened, column, row, period)
+    return Margins(
+        stable=True,
+        phase_margin_deg=None if phase is None else math.degrees(phase),
+        delay_margin=delay,
+        gain_margin=gain,
+        gain_reduction_margin=None if less is None else 1.0 / less,
+        period=period,
+    )
+
+
+def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float) -> float | None:
+    """Return the least delay [s] that moves a pole to the unit circle, for delays much longer than a cycle.
+
+    A delay of m cycles shifts the phase of the loop by m theta at a pole exp(j theta): if the loop closed with
+    exp(-j phi) has that pole, the least delay is phi / theta cycles. Between whole cycles the formula is a good
+    approximation for slow loops.
+    """
+    from scipy.optimize import brentq
+
+    def poles(turn: float) -> np.ndarray:
+        closed = opened + np.exp(-1j * turn) * column[..., :, None] * row[..., None, :]
+        return np.linalg.eigvals(monodromy(closed))
+
+    def out(turn: float) -> int:
+        return int(np.sum(np.abs(poles(turn)) > 1.0 + 1e-9))
+
+    around = np.linspace(0.0, 2.0 * math.pi, 721)
+    counts = [out(turn) for turn in around]
+    delays = []
+    for i in np.flatnonzero(np.diff(counts)):
+        between = 0.5 * (counts[i] + counts[i + 1])
+        turn = brentq(lambda turn, between=between: out(turn) - between, around[i], around[i + 1])
+        z = poles(turn)
+        angle = float(np.angle(z[np.argmin(np.abs(np.abs(z) - 1.0))]))
+        if angle > 0.0:
+            delays.append(turn / angle * len(opened) * period)
+    return min(delays, default=None)
+
+
+def monodromy_radii(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """Largest moduli (m,) of the poles of the loop closed with each of ``factors`` (m,) at the break."""
+    added = column[..., :, None] * row[..., None, :]
+    closed = opened[:, None] + factors[:, None, None] * added[:, None]
+    return np.abs(np.linalg.eigvals(monodromy(closed))).max(axis=-1)
+
+
+def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, tried: np.ndarray, at_once: int = 20) -> float | None:
+    """Return the first number above ``low`` at which a pole leaves the unit circle, None if none up to the last does.
+
+    ``radii(numbers)`` is the largest modulus of the poles at each; it gets ``at_once`` numbers of ``tried`` at a time.
+    """
+    from scipy.optimize import brentq
+
+    def beyond(number: float) -> float:
+        return float(radii(np.array([number]))[0]) - (1.0 + 1e-9)
+
+    for start in range(0, tried.size, at_once):
+        out = np.flatnonzero(radii(tried[start : start + at_once]) > 1.0 + 1e-9)
+        if out.size:
+            place = start + int(out[0])
+            low, high = float(tried[place - 1]) if place else low, float(tried[place])
+            return brentq(beyond, low, high, xtol=1e-15 * high, rtol=1e-14)
+    return None

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis, Controller
-from emps_design.control.nested_loops import NestedLoop, nested_loops
-from emps_design.control.sampled import SampledLoop, axis_loop
+from emps_design.control.sampled import NestedLoop, SampledLoop, axis_loop, nested_loops
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.sampled import step_answer, velocity_table

@@ -9,245 +9,52 @@ of the carriage, if nothing depends on it (its pole at 1 would be in every free 
 nothing drives or nothing reads, such as that of an unused position loop; and a cell that equals a state of the plant
 when both start at rest, as the current model of the impedance law does while the drive follows its command.
 
-A loop of different rates is periodic and lifted to the rate at which it repeats. The matrices of the samples of a cycle
-are stacked along the first axis: ``x[k+1] = A[j] x[k] + B[j] w[k]`` with j = k modulo the length of the cycle. From
-cycle to cycle the state is multiplied by the monodromy matrix ``A[-1] ... A[1] A[0]``, whose eigenvalues are the exact
-poles (Bittanti, Colaneri, Periodic Systems, 2009).
+A controller has nested loops, each broken at one place. The velocity loop is broken at the plant input with the
+position loop open; the position loop at the position error with the velocity loop closed, at its own rate, so that it
+is one sampled loop whatever the rate inside. The last is the whole loop at the plant input, where a delay or a current
+loop acts; with different rates it is periodic. A design is as good as the worst of them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.advice.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG, where_in_words
 from emps_design.axis import Axis
-from emps_design.control.discretisation import SampledPlant, sample_axis
+from emps_design.control.discretisation import SampledPlant, law_peaks, peaks_of_roots, sample_axis
 from emps_design.control.linear_plant import POSITION, VELOCITY, Felt
-from emps_design.control.margins import LOOP_NAMES, Margins
+from emps_design.control.margins import (
+    LOOP_NAMES,
+    Margins,
+    lifted,
+    loop_margins,
+    monodromy,
+    periodic_margins,
+    periodic_response,
+    transfer,
+)
 from emps_design.errors import InputError
-from emps_design.laws import law_of
+from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
+from emps_design.units import LINEAR, Units
 
 if TYPE_CHECKING:
     import control
-
-MOST_GAIN = 1e4  # above this a gain margin is unbounded
-_NEAR = 30.0  # samples; up to this delay every tenth of a sample is tried
-_TURNS, _FACTORS = np.radians(np.arange(1.0, 181.0)), np.geomspace(1.0, MOST_GAIN, 241)[1:]
-
-AT_ONCE = 100_000  # systems solved together
-ROUNDING = 32.0 * np.finfo(float).eps  # relative error of a coefficient
 
 MARGINAL = 1e-9  # a pole this close to the unit circle counts as on it, so that rounding decides no verdict
 SAME = 1e-9  # relative difference of the coefficients of two equal states
 OUTPUTS = ("velocity", "mean_velocity", "force", "voltage")
 _REFERENCE, _FORCE, _MORE = range(3)
+_POSITION = 1  # place of the position among the inputs of a law; the reference is the first of both
 
-
-def monodromy(A: np.ndarray) -> np.ndarray:
-    """The product ``A[-1] ... A[0]`` (..., n, n) of the matrices (cycle, ..., n, n).
-
-    >>> monodromy(np.array([[[0.5]], [[3.0]]])).tolist()
-    [[1.5]]
-    """
-    product = A[0]
-    for matrix in A[1:]:
-        product = matrix @ product
-    return product
-
-
-def lifted(
-    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return one step for a whole cycle, with the inputs and outputs of all its samples concatenated.
-
-    (c, n, n), (c, n, i), (c, o, n), (c, o, i) -> (n, n), (n, c i), (c o, n), (c o, c i).
-    """
-    cycle, size, count = B.shape
-    state, driven = np.eye(size), np.zeros((size, cycle * count))
-    outputs, through = [], []
-    for j in range(cycle):
-        own = slice(j * count, (j + 1) * count)
-        outputs.append(C[j] @ state)
-        feedthrough = C[j] @ driven
-        feedthrough[:, own] += D[j]
-        through.append(feedthrough)
-        state, driven = A[j] @ state, A[j] @ driven
-        driven[:, own] += B[j]
-    return state, driven, np.concatenate(outputs), np.concatenate(through)
-
-
-def response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return the response at the input frequency, the mean over a cycle; ``angle`` (f,) [rad] per sample.
-
-    (c, n, n), (c, n), (c, n), (c,), (f,) -> (f,). The aliases that the output contains too are left out.
-    """
-    cycle, size = b.shape
-    turn = np.exp(1j * angle)[:, None, None]
-    forth = turn ** np.arange(cycle + 1)[:, None, None, None]  # the input, sample by sample
-    driven = np.zeros((angle.size, size, 1), dtype=complex)
-    for j in range(cycle):
-        driven = A[j] @ driven + b[j][:, None] * forth[j]
-    x = np.linalg.solve(forth[cycle] * np.eye(size) - monodromy(A), driven)
-    total = np.zeros((angle.size, 1, 1), dtype=complex)
-    for j in range(cycle):
-        total += (c[j][None] @ x + d[j] * forth[j]) / forth[j]
-        x = A[j] @ x + b[j][:, None] * forth[j]
-    return total.ravel() / cycle
-
-
-def margins(
-    opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float, delayed: Callable[[float], float] | None
-) -> Margins:
-    """Return the margins at one place of a periodic loop, from the poles of the loop closed with a factor there.
-
-    ``opened`` (c, n, n), ``column`` (c, n) and ``row`` (c, n) are the loop broken at that place; ``period`` [s] of a
-    sample. The factor exp(-j phi) that moves a pole to the unit circle gives the phase margin, a real one the gain
-    margin; ``delayed(delay)`` is the largest modulus of the poles with an additional ``delay`` [s] at that place;
-    without it there is no delay margin.
-    """
-
-    def radii(factors: np.ndarray) -> np.ndarray:
-        return monodromy_radii(opened, column, row, factors)
-
-    if radii(np.ones(1))[0] > 1.0 + 1e-9:
-        return Margins(stable=False, period=period)
-    phase = _first(lambda turns: radii(np.exp(-1j * turns)), 0.0, _TURNS)
-    gain = _first(radii, 1.0, _FACTORS)
-    less = _first(lambda factors: radii(1.0 / factors), 1.0, _FACTORS)
-    delay = None
-    if phase is not None and delayed is not None:
-        each = np.vectorize(delayed, otypes=[float])
-        near = _first(each, 0.0, period * np.arange(0.1, _NEAR, 0.1), at_once=1)
-        delay = near if near is not None else _late_delay(opened, column, row, period)
-    return Margins(
-        stable=True,
-        phase_margin_deg=None if phase is None else math.degrees(phase),
-        delay_margin=delay,
-        gain_margin=gain,
-        gain_reduction_margin=None if less is None else 1.0 / less,
-        period=period,
-    )
-
-
-def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period: float) -> float | None:
-    """Return the least delay [s] that moves a pole to the unit circle, for delays much longer than a cycle.
-
-    A delay of m cycles shifts the phase of the loop by m theta at a pole exp(j theta): if the loop closed with
-    exp(-j phi) has that pole, the least delay is phi / theta cycles. Between whole cycles the formula is a good
-    approximation for slow loops.
-    """
-    from scipy.optimize import brentq
-
-    def poles(turn: float) -> np.ndarray:
-        closed = opened + np.exp(-1j * turn) * column[..., :, None] * row[..., None, :]
-        return np.linalg.eigvals(monodromy(closed))
-
-    def out(turn: float) -> int:
-        return int(np.sum(np.abs(poles(turn)) > 1.0 + 1e-9))
-
-    around = np.linspace(0.0, 2.0 * math.pi, 721)
-    counts = [out(turn) for turn in around]
-    delays = []
-    for i in np.flatnonzero(np.diff(counts)):
-        between = 0.5 * (counts[i] + counts[i + 1])
-        turn = brentq(lambda turn, between=between: out(turn) - between, around[i], around[i + 1])
-        z = poles(turn)
-        angle = float(np.angle(z[np.argmin(np.abs(np.abs(z) - 1.0))]))
-        if angle > 0.0:
-            delays.append(turn / angle * len(opened) * period)
-    return min(delays, default=None)
-
-
-def monodromy_radii(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Largest moduli (m,) of the poles of the loop closed with each of ``factors`` (m,) at the break."""
-    added = column[..., :, None] * row[..., None, :]
-    closed = opened[:, None] + factors[:, None, None] * added[:, None]
-    return np.abs(np.linalg.eigvals(monodromy(closed))).max(axis=-1)
-
-
-def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, tried: np.ndarray, at_once: int = 20) -> float | None:
-    """Return the first number above ``low`` at which a pole leaves the unit circle, None if none up to the last does.
-
-    ``radii(numbers)`` is the largest modulus of the poles at each; it gets ``at_once`` numbers of ``tried`` at a time.
-    """
-    from scipy.optimize import brentq
-
-    def beyond(number: float) -> float:
-        return float(radii(np.array([number]))[0]) - (1.0 + 1e-9)
-
-    for start in range(0, tried.size, at_once):
-        out = np.flatnonzero(radii(tried[start : start + at_once]) > 1.0 + 1e-9)
-        if out.size:
-            place = start + int(out[0])
-            low, high = float(tried[place - 1]) if place else low, float(tried[place])
-            return brentq(beyond, low, high, xtol=1e-15 * high, rtol=1e-14)
-    return None
-
-
-def transfer(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: Any, z: np.ndarray) -> np.ndarray:
-    """Return ``c (z I - A)^-1 b + d`` at ``z`` of any shape: (..., n, n), (..., n), (..., n), (...) -> (..., *z.shape).
-
-    >>> delay = transfer(np.zeros((1, 1)), np.ones(1), np.ones(1), 0.0, np.array([1j, -1.0]))
-    >>> bool(np.allclose(delay, [-1j, -1.0]))
-    True
-    """
-    if A.ndim == 2 and b.ndim == c.ndim == 1 and np.size(z) == 1:  # the fast case of a search, point by point
-        state = np.linalg.solve(np.reshape(z, ()) * np.eye(b.size) - A, b)
-        return np.reshape(np.sum(c * state) + d, np.shape(z))
-    return transfers(A, b, c[None], np.asarray(d)[None], z)[0]
-
-
-def transfers(A: np.ndarray, b: np.ndarray, C: np.ndarray, D: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return :func:`transfer` for each of several ``C`` (o, ..., n) and ``D`` (o, ...), from systems solved once."""
-    if A.ndim == 3 and len(A) > 1:
-        alike = _rank_one(A, b)
-        if alike is not None:
-            return _rank_one_transfers(A[0], b[0], *alike, C, D, z)
-        if len(A) * z.size > AT_ONCE:  # split to limit memory
-            half = len(A) // 2
-            pieces = [transfers(A[i], b[i], C[:, i], D[:, i], z) for i in (slice(half), slice(half, None))]
-            return np.concatenate(pieces, axis=1)
-    states = _solved(A, b[..., None], z)[..., 0]
-    responses = np.stack([np.sum(c[..., None, :] * states, axis=-1) + d[..., None] for c, d in zip(C, D, strict=True)])
-    return responses.reshape(*responses.shape[:-1], *z.shape)
-
-
-def _solved(A: np.ndarray, columns: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """``(z I - A)^-1 columns`` (..., z.size, n, columns)."""
-    systems = z.reshape(-1, 1, 1) * np.eye(A.shape[-1]) - A[..., None, :, :]
-    wide = np.broadcast_to(columns[..., None, :, :], (*systems.shape[:-1], columns.shape[-1]))
-    return np.linalg.solve(systems, wide)
-
-
-def _rank_one(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return a column (n,) and shares (m, n + 1) with each ``[A b]`` the first plus column times shares; else None.
-
-    This holds for loops around one plant with laws of one output that differ in the gains of that output.
-    """
-    tables = np.concatenate([A, b[..., None]], axis=-1)
-    apart = tables - tables[0]
-    system, row, place = np.unravel_index(np.argmax(np.abs(apart)), apart.shape)
-    column = apart[system, :, place]
-    if column[row] == 0.0:
-        return column, apart[:, row]
-    shares = apart[:, row] / column[row]
-    residual = np.abs(apart - column[:, None] * shares[:, None, :])
-    return (column, shares) if np.all(residual <= ROUNDING * (np.abs(tables) + np.abs(tables[0]))) else None
-
-
-def _rank_one_transfers(A: Any, b: Any, column: Any, shares: Any, C: Any, D: Any, z: np.ndarray) -> np.ndarray:
-    """Transfer functions of systems that are :func:`_rank_one`, by the Sherman-Morrison formula."""
-    first, moved = np.moveaxis(_solved(A, np.column_stack([b, column]), z), -1, 0)
-    rows = shares[:, :-1]
-    back = (shares[:, -1:] + rows @ first.T) / (1.0 - rows @ moved.T)
-    responses = np.stack([c @ first.T + (c @ moved.T) * back + d[..., None] for c, d in zip(C, D, strict=True)])
-    return responses.reshape(*responses.shape[:-1], *z.shape)
+PLANT_INPUT, POSITION_ERROR = "plant input", "position error"
+VELOCITY_LOOP, WHOLE = "velocity loop", "whole loop"
 
 
 @dataclass(frozen=True)
@@ -299,7 +106,7 @@ class SampledLoop:
         """Frequency response from the input ``by`` to ``output`` at ``w`` (f,) [rad/s], shape (..., f)."""
         place, row, angle = self.inputs.index(by), OUTPUTS.index(output), np.asarray(w) * self.period
         matrices = self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place]
-        return transfer(*matrices, np.exp(1j * angle)) if self.cycle == 1 else response(*matrices, angle)
+        return transfer(*matrices, np.exp(1j * angle)) if self.cycle == 1 else periodic_response(*matrices, angle)
 
     def admittance(self, w: np.ndarray) -> np.ndarray:
         """Mean velocity over held force at ``w`` (f,) [rad/s], shape (..., f) [m/s/N]."""
@@ -514,3 +321,167 @@ def sorted_poles(poles: np.ndarray) -> np.ndarray:
     """Return poles (..., n) sorted by falling modulus, then by imaginary part, for a reproducible order."""
     poles = np.asarray(poles, dtype=complex)
     return np.take_along_axis(poles, np.lexsort((-poles.imag, -np.round(np.abs(poles), 12)), axis=-1), axis=-1)
+
+
+@dataclass(frozen=True)
+class NestedLoop:
+    """One loop of a controller: its ``name``, where it is ``broken``, and its margins there.
+
+    ``where`` holds the differences of its machine from the axis, see :func:`where_in_words`.
+    """
+
+    name: str
+    broken: str
+    margins: Margins
+    where: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data: name, place, margins, and the machine if it differs from the axis."""
+        where = {"where": dict(self.where)} if self.where else {}
+        return {"name": self.name, "broken": self.broken, **where, **self.margins.to_dict()}
+
+
+def nested_loops(
+    axis: Axis, velocity: float = 0.1, delay: float = 0.0, delay_margins: bool = True
+) -> tuple[NestedLoop, ...]:
+    """Return the loops of the controller of ``axis``, innermost first and the whole last.
+
+    The axis is linearised at ``velocity`` [m/s]; ``delay`` [s] adds to that of the command. A controller with a
+    velocity loop alone has one loop. ``delay_margins`` False omits those of loops of different rates, which take
+    longest. Raises :class:`~emps_design.errors.AxisError` if the axis has no controller.
+
+    >>> from emps_design.machines import machine
+    >>> cascade = {"kind": "cascade", "position": {"kp": 30.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
+    >>> for loop in nested_loops(machine("emps2019").replace(controller=cascade)):
+    ...     print(loop.name, "broken at the", loop.broken, round(loop.margins.phase_margin_deg))
+    velocity loop broken at the plant input 71
+    position loop broken at the position error 77
+    whole loop broken at the plant input 57
+    """
+    period, direction = axis.sampling.period, float(np.sign(velocity))
+    plant = sample_axis(axis, velocity)
+    plant = plant.delayed(delay) if delay else plant
+    whole = law_of(axis, period)
+    kind = get_law(axis.controller.kind)
+    loops = []
+    for name, table in kind.loops(table_of(axis)) if kind.loops else ():
+        law = kind.law(table, axis, period)
+        form = linear_law(law, period, direction)
+        if law.follows == "velocity":
+            loops.append(NestedLoop(name, PLANT_INPUT, at_plant_input(plant, form)))
+        else:
+            loops.append(NestedLoop(name, POSITION_ERROR, at_position_error(plant, form)))
+    if len(loops) != 1:
+        name = VELOCITY_LOOP if not loops and whole.follows == "velocity" else WHOLE
+        margins = at_plant_input(plant, linear_law(whole, period, direction), delay_margins)
+        loops.append(NestedLoop(name, PLANT_INPUT, margins))
+    return tuple(loops)
+
+
+def at_plant_input(plant: SampledPlant, form: LinearLaw, delay_margins: bool = True) -> Margins:
+    """Margins of the loop of ``form`` around ``plant``, broken at the plant input with all inner loops closed.
+
+    ``delay_margins`` False omits the delay margin of a loop of different rates.
+    """
+    loop = close(plant, form, plant_input=True)
+    if form.cycle > 1:
+        delayed = (lambda delay: _radius_with(plant.delayed(delay), form)) if delay_margins else None
+        return periodic_margins(*loop.opened, plant.period, delayed)
+
+    return loop_margins(
+        loop.loop_gain,
+        plant.frequencies(peaks=law_peaks(form, plant.period)),
+        loop.stable,
+        plant.period,
+        lambda w, delay: loop.loop_gain(w) * plant.delayed_response(w, delay) / plant.response(w),
+    )
+
+
+def _radius_with(plant: SampledPlant, form: LinearLaw) -> float:
+    return float(np.abs(close(plant, form, plant_input=True).poles).max())
+
+
+def at_position_error(plant: SampledPlant, form: LinearLaw) -> Margins:
+    """Margins of the position loop broken at the position error, at its own rate.
+
+    ``form`` must read position and reference only through their difference, except for its velocity estimates.
+    """
+    A, b, c = position_loop(plant, form)
+    period, stable = form.cycle * plant.period, close(plant, form).stable
+    inner = [*peaks_of_roots(np.linalg.eigvals(A), period), *law_peaks(form, plant.period)]
+    grid = replace(plant, period=period, filters=()).frequencies(peaks=inner)
+    return loop_margins(lambda w: transfer(A, b, c, 0.0, np.exp(1j * np.asarray(w) * period)), grid, stable, period)
+
+
+def position_loop(plant: SampledPlant, form: LinearLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The position loop broken at the position error: ``x[i+1] = A x + b e``, ``q = c x``, one step per law cycle.
+
+    With ``reference + q`` as the reference, the reference is the position error; the law reads it once per cycle.
+    """
+    B, D = form.B.copy(), form.D.copy()
+    B[..., _POSITION] += B[..., _REFERENCE]
+    D[..., _POSITION] += D[..., _REFERENCE]
+    loop: SampledLoop = close(plant, replace(form, B=B, D=D), keep_position=True)
+    row = np.zeros(loop.A.shape[-1])
+    row[: plant.C.size] = plant.C
+    place = loop.inputs.index("reference")
+    if form.cycle == 1:
+        return loop.A, loop.B[:, place], row
+    A, b, _, _ = lifted(loop.A, loop.B[..., [place]], loop.C, loop.D[..., [place]])
+    return A, b[:, 0], row
+
+
+def safety(margins: Margins) -> float:
+    """Return the lesser of phase margin over 30 deg and gain margin in octaves: from 1 on a loop is safe.
+
+    An unstable loop has minus infinity, one whose margins are both unbounded plus infinity.
+
+    >>> from emps_design.control.margins import Margins
+    >>> safety(Margins(stable=True, phase_margin_deg=60.0, gain_margin=2.0)), safety(Margins(stable=False))
+    (1.0, -inf)
+    """
+    if not margins.stable:
+        return -math.inf
+    phase, gain = margins.phase_margin_deg, margins.gain_margin
+    return min(
+        math.inf if phase is None else phase / SAFE_PHASE_MARGIN_DEG,
+        math.inf if gain is None else math.log(gain) / math.log(SAFE_GAIN_MARGIN),
+    )
+
+
+def worst_loop(loops: Iterable[NestedLoop]) -> NestedLoop:
+    """Return the loop with the least :func:`safety` of ``loops``, at least one; of equals the first.
+
+    So an unstable loop comes before any stable one, and of several unstable ones the innermost.
+
+    >>> from emps_design.control.margins import Margins
+    >>> from emps_design.control.sampled import NestedLoop
+    >>> inner = NestedLoop("velocity loop", "plant input", Margins(stable=True, phase_margin_deg=60.0))
+    >>> outer = NestedLoop("position loop", "position error", Margins(stable=True, phase_margin_deg=6.4))
+    >>> worst_loop([inner, outer]).name
+    'position loop'
+    """
+    return min(loops, key=lambda loop: safety(loop.margins))
+
+
+def margins_in_words(margins: Margins) -> str:
+    """Phase and gain margin of a stable loop.
+
+    >>> from emps_design.control.margins import Margins
+    >>> margins_in_words(Margins(stable=True, phase_margin_deg=6.41, gain_margin=1.234))
+    '6.4 deg of phase margin and a gain margin of 1.23'
+    """
+    phase = "unbounded" if margins.phase_margin_deg is None else f"{margins.phase_margin_deg:.1f} deg of"
+    gain = "an unbounded gain margin" if margins.gain_margin is None else f"a gain margin of {margins.gain_margin:.3g}"
+    return f"{phase} phase margin and {gain}"
+
+
+def loop_in_words(loop: NestedLoop, units: Units = LINEAR) -> str:
+    """Name a loop and its machine, in the units of its axis.
+
+    >>> from emps_design.control.margins import Margins
+    >>> from emps_design.control.sampled import NestedLoop
+    >>> loop_in_words(NestedLoop("whole loop", "plant input", Margins(stable=False), {"inertia": 3.0}))
+    'whole loop with 3 times the inertia'
+    """
+    return " ".join(filter(None, (units.words(loop.name), where_in_words(loop.where, units))))

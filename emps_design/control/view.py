@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from emps_design.advice.advice import where_in_words
 from emps_design.control.margins import HERTZ, MARGINS, Row
 from emps_design.units import Units
 from emps_design.view import Cell, Line, Table, View
@@ -188,8 +189,6 @@ def what_is_judged(document: dict[str, Any]) -> str:
 
 def worst_in_words(worst: dict[str, Any], units: Units) -> str:
     """The worst loop of a design in words: its name, the machine it is on, and its margins."""
-    from emps_design.control.nested_loops import where_in_words
-
     has = "unstable"
     if worst["stable"]:
         gain = number(worst["gain_margin"], 3)

@@ -25,7 +25,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.linear_plant import VELOCITY, linear_plant
-from emps_design.control.sampled import transfer
+from emps_design.control.margins import transfer
 from emps_design.effects.two_mass import linear_coupling
 from emps_design.errors import InputError
 from emps_design.frequency_response.response import BAND, FrequencyResponse, resonances, turning_delay

@@ -40,9 +40,8 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import filter_response, law_peaks
-from emps_design.control.margins import KEYS, Margins, disk_size, margin_arrays
-from emps_design.control.nested_loops import PLANT_INPUT, NestedLoop
-from emps_design.control.sampled import lifted, transfers
+from emps_design.control.margins import KEYS, Margins, disk_size, lifted, margin_arrays, transfers
+from emps_design.control.sampled import PLANT_INPUT, NestedLoop
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import PLACES, Structure, own_filters, own_structure
 from emps_design.control.velocity.limits import retuned_gains, suggest_filter

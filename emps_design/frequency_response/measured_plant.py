@@ -24,7 +24,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import Peaks, frequencies_around
-from emps_design.control.sampled import transfer
+from emps_design.control.margins import transfer
 from emps_design.errors import InputError
 from emps_design.frequency_response.response import BAND, FrequencyResponse
 from emps_design.laws.linear import LinearLaw

@@ -21,7 +21,7 @@ from emps_design.request import takes
 
 if TYPE_CHECKING:
     from emps_design.comanipulation.assessment import ImpedanceAssessment
-    from emps_design.control.nested_loops import NestedLoop
+    from emps_design.control.sampled import NestedLoop
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.frequency_response import FrequencyResponse
     from emps_design.identification.identify import Identification
@@ -74,7 +74,7 @@ class Report:
 
     @cached_property
     def _document(self) -> dict[str, Any]:
-        from emps_design.control.velocity.comparison import kept_position_loop
+        from emps_design.control.verdict import kept_position_loop
 
         velocity = self.results.velocity.to_dict()
         document: dict[str, Any] = {"velocity_loop": velocity, "worst_loop": self.results.verdict.worst.to_dict()}
@@ -155,7 +155,7 @@ def assemble_report(request: ReportRequest) -> Report:
         said["notes"] = notes + said["notes"]
     loops: tuple[NestedLoop, ...] = ()
     if axis.controller.kind != NONE and get_law(axis.controller.kind).loops:
-        from emps_design.control.nested_loops import nested_loops
+        from emps_design.control.sampled import nested_loops
         from emps_design.report.velocity import controller_section
 
         loops = nested_loops(axis)

@@ -8,7 +8,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from emps_design.advice import Advice
-from emps_design.control.nested_loops import VELOCITY_LOOP, NestedLoop, where_in_words
+from emps_design.advice.advice import where_in_words
+from emps_design.control.sampled import VELOCITY_LOOP, NestedLoop
 from emps_design.report.page import (
     Callout,
     Facts,

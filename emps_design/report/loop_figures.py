@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from matplotlib.ticker import MultipleLocator
 
     from emps_design.control.margins import Margins
-    from emps_design.control.velocity.comparison import StepResponse
     from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.verdict import StepResponse
     from emps_design.units import Units
 
 COLOURS = (RED, GREEN)
@@ -344,7 +344,7 @@ def _step_label(name: str, step: StepResponse) -> str:
 
 def velocity_loop_figures(design: VelocityLoopDesign) -> dict[str, Figure]:
     """Return a design's pictures: bode_velocity_error, bode_plant_input, bode_parts, nyquist, poles, step."""
-    from emps_design.control.velocity.comparison import step_responses
+    from emps_design.control.verdict import step_responses
 
     error, plant = broken_loops(design)
     period = design.axis.sampling.period

@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from emps_design.control.force import ForceLoopDesign
-    from emps_design.control.nested_loops import NestedLoop
-    from emps_design.control.velocity.comparison import StepResponse
+    from emps_design.control.sampled import NestedLoop
     from emps_design.control.velocity.design import VelocityLoopDesign
+    from emps_design.control.verdict import StepResponse
     from emps_design.units import Units
 
 ACTS_ON = {
@@ -129,7 +129,7 @@ def _parameters(effect: Any, units: Units) -> str:
 
 def velocity_section(velocity: VelocityLoopDesign) -> Section:
     """Return the section on the loop: Bode, Nyquist, poles and step response, continuous and sampled."""
-    from emps_design.control.velocity.comparison import step_responses
+    from emps_design.control.verdict import step_responses
 
     error, plant = broken_loops(velocity)
     step, sampled = step_responses(velocity)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.nested_loops import loop_in_words, nested_loops, worst_loop
+from emps_design.control.sampled import loop_in_words, nested_loops, worst_loop
 from emps_design.errors import AxisError, InputError, SimulationError, UnstableError
 from emps_design.laws import leaves
 from emps_design.messages import Message, note, warning

@@ -94,13 +94,8 @@ def _requirements(state: State, design: VelocityLoopDesign) -> str:
 
 def verdict_message(design: VelocityLoopDesign) -> str:
     """Return the advice on ``design`` as HTML, by the worst loop that will run."""
-    from emps_design.control.nested_loops import (
-        SAFE_GAIN_MARGIN,
-        SAFE_PHASE_MARGIN_DEG,
-        loop_in_words,
-        margins_in_words,
-        safety,
-    )
+    from emps_design.advice.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG
+    from emps_design.control.sampled import loop_in_words, margins_in_words, safety
     from emps_design.control.verdict import DesignVerdict
 
     worst = DesignVerdict(design).worst

@@ -145,7 +145,7 @@ def drive_zip(compensation: Compensation) -> bytes:
 
 def gains_json(state: State) -> str:
     """Return the keys and numbers that ``gains --json`` prints for ``state``."""
-    from emps_design.control.velocity.comparison import gains_document
+    from emps_design.control.verdict import gains_document
 
     document = gains_document(velocity_design(state))
     return _json_text(document)

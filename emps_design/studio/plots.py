@@ -322,7 +322,7 @@ class LoopPlots:
 
     def update(self, design: VelocityLoopDesign, place: str) -> None:
         """Show ``design``, its loop broken at ``place``."""
-        from emps_design.control.velocity.comparison import step_responses
+        from emps_design.control.verdict import step_responses
 
         loop = broken_loops(design, 250)[0 if place == "velocity error" else 1]
         for key, curve in (("continuous", loop.continuous), ("sampled", loop.sampled)):

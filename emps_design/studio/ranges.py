@@ -209,7 +209,7 @@ def requirements(
     design: VelocityLoopDesign, required_phase_deg: float, required_overshoot_percent: float
 ) -> Requirements | None:
     """Compare the sampled loop of ``design`` with the requirements; None if the loop is unstable."""
-    from emps_design.control.velocity.comparison import sampled_step
+    from emps_design.control.verdict import sampled_step
 
     margins = design.sampled.margins
     if not margins.stable:
@@ -241,7 +241,7 @@ def _first(table: str) -> dict[str, float]:
 
 def _acceptable(axis: Axis, specification: dict[str, float], first: dict[str, float]) -> VelocityLoopDesign | None:
     """Return the design of ``specification`` if it meets the requirements and its worst loop is safe, else None."""
-    from emps_design.control.nested_loops import safety
+    from emps_design.control.sampled import safety
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.verdict import DesignVerdict
 

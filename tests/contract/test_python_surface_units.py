@@ -32,7 +32,7 @@ from emps_design.commands import Reply, force
 from emps_design.control.impedance.law import equivalent_loop
 from emps_design.control.linear_plant import Member
 from emps_design.control.margins import Margins
-from emps_design.control.nested_loops import NestedLoop
+from emps_design.control.sampled import NestedLoop
 from emps_design.importing import layout_of
 from emps_design.importing.read import with_contradictions
 from emps_design.messages import Message

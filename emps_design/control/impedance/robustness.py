@@ -27,8 +27,7 @@ from emps_design.control.impedance.passivity import (
     recursion_poles,
     sampled_loop,
 )
-from emps_design.control.nested_loops import PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
-from emps_design.control.sampled import MARGINAL
+from emps_design.control.sampled import MARGINAL, PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
 from emps_design.control.velocity.load_range import corners as corners_of
 from emps_design.errors import InputError
 from emps_design.laws.estimators import TWO_TAP, forgets

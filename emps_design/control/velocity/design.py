@@ -59,7 +59,7 @@ from emps_design.view import View, Viewed
 if TYPE_CHECKING:
     import control
 
-    from emps_design.control.nested_loops import NestedLoop
+    from emps_design.control.sampled import NestedLoop
 
 CONSTANT = 1e-9  # a pole closer than this to the unit circle counts as one at z = 1
 
@@ -404,7 +404,7 @@ class VelocityLoopDesign(Viewed):
 
         A position loop designed for a faster velocity loop may be unstable around this one.
         """
-        from emps_design.control.nested_loops import nested_loops
+        from emps_design.control.sampled import nested_loops
 
         own = self.axis.controller
         if own.kind != cascade.LAW.name or own.parameters.get("position") is None or not self.sampled.stable:

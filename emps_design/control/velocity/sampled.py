@@ -24,8 +24,8 @@ import numpy as np
 
 from emps_design.control.discretisation import SampledPlant, frequencies_around, oscillations
 from emps_design.control.linear_plant import POSITION, LinearPlant, linear_plant
-from emps_design.control.margins import LOOP_NAMES, Margins, further_down, loop_margins
-from emps_design.control.sampled import OUTPUTS, SampledLoop, close, transfer
+from emps_design.control.margins import LOOP_NAMES, Margins, further_down, loop_margins, transfer
+from emps_design.control.sampled import OUTPUTS, SampledLoop, close
 from emps_design.control.velocity.gains import IP, MINUS_3_DB, Structure
 from emps_design.laws import LawKind
 from emps_design.laws.estimators import BACKWARD, continuous, estimator_in_words

@@ -23,8 +23,7 @@ from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant, oscillations, sample_axis
 from emps_design.control.linear_plant import POSITION, Environment, LinearPlant, attached
 from emps_design.control.margins import KEYS, LOWEST, Margins, margin_arrays
-from emps_design.control.nested_loops import margins_in_words
-from emps_design.control.sampled import MARGINAL, close
+from emps_design.control.sampled import MARGINAL, close, margins_in_words
 from emps_design.control.velocity.gains import IP, MINUS_3_DB, Structure, positive_root, second_order_form
 from emps_design.control.velocity.sampled import SampledVelocityLoop, velocity_table
 from emps_design.errors import InputError, SpecificationError

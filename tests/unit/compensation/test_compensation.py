@@ -12,8 +12,7 @@ from emps_design.codegen import export_controller
 from emps_design.compensation import FeedForward, compensate
 from emps_design.compensation.feedforward import BASELINE, feedback_cures, largest_factor, motion_ahead, terms_of
 from emps_design.compensation.study import Trial
-from emps_design.control.nested_loops import nested_loops
-from emps_design.control.sampled import axis_loop
+from emps_design.control.sampled import axis_loop, nested_loops
 from emps_design.effects import EFFECTS
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import get_law, law_of

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import signal
 
-from emps_design.control.velocity.comparison import second_order_step
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import (
     MINUS_3_DB,
@@ -18,6 +17,7 @@ from emps_design.control.velocity.gains import (
     velocity_gains,
 )
 from emps_design.control.velocity.specification import check_specification
+from emps_design.control.verdict import second_order_step
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 from emps_design.paper import written as y

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from emps_design.control.nested_loops import nested_loops
-from emps_design.control.sampled import axis_loop
+from emps_design.control.sampled import axis_loop, nested_loops
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import PI
 from emps_design.control.velocity.limits import retune_velocity_loop

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.control import sampled
 from emps_design.control.discretisation import sample_axis
-from emps_design.control.nested_loops import nested_loops, position_loop
-from emps_design.control.sampled import axis_loop, close
+from emps_design.control.margins import periodic_margins, periodic_response
+from emps_design.control.sampled import axis_loop, close, nested_loops, position_loop
 from emps_design.errors import AxisError, InputError
 from emps_design.laws import law_of
 from emps_design.laws.linear import linear_law
@@ -97,7 +96,7 @@ def test_a_loop_of_one_rate_may_be_taken_for_a_periodic_one():
     plain = {loop.name: loop.margins for loop in nested_loops(axis)}["whole loop"]
     loop = axis_loop(axis)
     twice = [np.stack([matrix] * 2) for matrix in loop.opened]
-    found = sampled.margins(*twice, T, lambda delay: 1.0)
+    found = periodic_margins(*twice, T, lambda delay: 1.0)
     assert found.phase_margin_deg == pytest.approx(plain.phase_margin_deg, rel=1e-6)
     assert found.gain_margin == pytest.approx(plain.gain_margin, rel=1e-6)
     assert found.gain_reduction_margin == pytest.approx(plain.gain_reduction_margin or np.nan, rel=1e-6, nan_ok=True)
@@ -105,7 +104,7 @@ def test_a_loop_of_one_rate_may_be_taken_for_a_periodic_one():
     w = np.array([2.0, 50.0, 900.0])
     one = loop.A, loop.B[:, 0], loop.C[1], np.array(loop.D[1, 0])
     doubled = [np.stack([part] * 2) for part in one]
-    np.testing.assert_allclose(sampled.response(*doubled, w * T), loop.response(w, by="reference"), rtol=1e-8)
+    np.testing.assert_allclose(periodic_response(*doubled, w * T), loop.response(w, by="reference"), rtol=1e-8)
 
 
 @pytest.mark.parametrize("every", [1, 4])

@@ -10,12 +10,12 @@ from emps_design.cli.app import run
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.position import design_position_loop
 from emps_design.control.sampled import axis_loop
-from emps_design.control.velocity.comparison import sampled_step
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import PI
 from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.control.velocity.load_range import LoadRange, loaded, margins_over_range
 from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.verdict import sampled_step
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 from emps_design.simulation import Plant

@@ -10,11 +10,11 @@ from hypothesis import given, settings, strategies as st
 
 from emps_design.cli.app import run
 from emps_design.control.discretisation import sample_axis
-from emps_design.control.velocity.comparison import continuous_step, structures_side_by_side
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.gains import IP, PI, PI_WITH_REFERENCE_FILTER, STRUCTURES, Structure
 from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.verdict import continuous_step, structures_side_by_side
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws import law_of
 from emps_design.laws.library.cascade import Filter

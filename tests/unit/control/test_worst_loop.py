@@ -6,11 +6,12 @@ import math
 import numpy as np
 import pytest
 
+from emps_design.advice.advice import where_in_words
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.force import design_force_loop
 from emps_design.control.margins import Margins
-from emps_design.control.nested_loops import NestedLoop, nested_loops, safety, where_in_words, worst_loop
+from emps_design.control.sampled import NestedLoop, nested_loops, safety, worst_loop
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.load_range import LoadRange, loaded
 from emps_design.control.verdict import DesignVerdict, cases_of, loops_over

@@ -7,8 +7,7 @@ import pytest
 
 from benchmarks.frequency_response import COMPARED, SPEED, exact_against_force, one_axis, random_axis, true_margins
 from emps_design.cli.app import run as command
-from emps_design.control.nested_loops import nested_loops
-from emps_design.control.sampled import axis_loop
+from emps_design.control.sampled import axis_loop, nested_loops
 from emps_design.errors import InputError, SpecificationError
 from emps_design.frequency_response import (
     FrequencyResponse,

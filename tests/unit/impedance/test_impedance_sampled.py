@@ -33,7 +33,7 @@ from emps_design.control.impedance.robustness import (
     verdict,
     worst_radius,
 )
-from emps_design.control.sampled import transfer
+from emps_design.control.margins import transfer
 from emps_design.errors import InputError
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from emps_design.cli.app import run
-from emps_design.control.velocity.comparison import measure_step, second_order_step
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.limits import retune_velocity_loop
+from emps_design.control.verdict import measure_step, second_order_step
 from emps_design.errors import InputError
 from emps_design.machines import machine
 from emps_design.report import Page, Section
