@@ -23,13 +23,11 @@ from .impedance.robustness import (
     stability_map as stability_map,
 )
 from .velocity.design import VelocityLoopDesign as VelocityLoopDesign, design_velocity_loop as design_velocity_loop
+from .velocity.gains import sweep_velocity_loop as sweep_velocity_loop
 from .velocity.limits import retune_velocity_loop as retune_velocity_loop
 from .velocity.load_range import (
     identified_mismatch as identified_mismatch,
     margins_under_mismatch as margins_under_mismatch,
     relative_mismatch as relative_mismatch,
 )
-from .velocity.specification import (
-    sweep_sampled_margins as sweep_sampled_margins,
-    sweep_velocity_loop as sweep_velocity_loop,
-)
+from .velocity.sampled import sweep_sampled_margins as sweep_sampled_margins

@@ -73,6 +73,7 @@ ROWS: tuple[Row, ...] = (
     ("natural frequency", "natural_frequency", "rad/s", 1.0),
     ("damping", "damping", "", 1.0),
 )
+FOLLOWED = ("position", "velocity", "")  # the last: a velocity loop alone, with its error at the plant input
 FAR = 5.0  # times the larger of crossover and bandwidth: faster poles do not count as the loop's own
 _REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
 
@@ -275,8 +276,9 @@ def loops_around(axis: Axis, plant: SampledPlant, velocity: float = 0.1, continu
     """Return the loops of the controller of ``axis`` by the names :data:`LOOPS`, around any sampled ``plant``."""
     margins: Loops = dict.fromkeys(LOOPS)
     for name, (follows, law) in _laws(axis, float(np.sign(velocity))).items():
+        loop = _sampled(law(plant.period), plant, name, follows)
         limit = _continuous(ContinuousLoop.of(law, axis, plant), plant, name, follows) if continuous else None
-        margins[name] = _sampled(law(plant.period), plant, name, follows, limit)
+        margins[name] = replace(loop, continuous=limit)
     return margins
 
 
@@ -324,30 +326,69 @@ def _reads_position(form: LinearLaw) -> bool:
     return bool(np.any(form.D[..., _POSITION]) or np.any(form.used()))
 
 
-def _sampled(
-    form: LinearLaw, plant: SampledPlant, name: str, follows: str, continuous: LoopMargins | None
-) -> LoopMargins:
+def _sampled(form: LinearLaw, plant: SampledPlant, name: str, follows: str) -> LoopMargins:
     loop = close(plant, form, plant_input=True)
-    at_error = name == "position"
-    margins = at_position_error(plant, form) if at_error else at_plant_input(plant, form)
+    margins = at_position_error(plant, form) if name == "position" else at_plant_input(plant, form)
     grid = plant.frequencies(peaks=law_peaks(form, plant.period))
-    rate = loop.cycle * plant.period
-    bandwidth = _minus_3_db(_closed(loop, plant, follows), grid) if margins.stable and follows in FOLLOWED else None
-    error = None
-    if name == "velocity" and follows == "velocity" and margins.stable:
-        error = _if_different(margins, loop_margins(_velocity_error(loop, form, plant), grid, True, plant.period))
     poles = loop.poles[np.abs(loop.poles) > 1e-9]
-    return LoopMargins(
-        POSITION_ERROR if at_error else PLANT_INPUT,
+    return _loop_margins(
+        name,
+        follows,
         margins,
-        bandwidth,
-        *_least_damped(np.log(poles.astype(complex)) / rate, margins.crossover, bandwidth),
-        error,
-        continuous,
+        grid,
+        np.log(poles.astype(complex)) / (loop.cycle * plant.period),
+        _closed(loop, plant, follows),
+        lambda: loop_margins(_velocity_error(loop, form, plant), grid, True, plant.period),
     )
 
 
-FOLLOWED = ("position", "velocity", "")  # the last: a velocity loop alone, with its error at the plant input
+def _continuous(loop: ContinuousLoop, plant: SampledPlant, name: str, follows: str) -> LoopMargins:
+    grid, poles = loop.frequencies(plant), loop.poles
+    stable = bool(np.all(poles.real <= MARGINAL * np.abs(poles)))
+    broken = loop.at_position_error if name == "position" else loop.at_plant_input
+
+    def closed(w: np.ndarray) -> np.ndarray:
+        s = 1j * np.asarray(w)
+        if not follows:
+            return loop.at_plant_input(s) / (1.0 + loop.at_plant_input(s))
+        return loop.followed(s) * (s if follows == "velocity" else 1.0)
+
+    return _loop_margins(
+        name,
+        follows,
+        _bounded(loop_margins(lambda w: broken(1j * w), grid, stable)),
+        grid,
+        poles,
+        closed,
+        lambda: _bounded(loop_margins(lambda w: loop.at_velocity_error(1j * w), grid, True)),
+    )
+
+
+def _loop_margins(
+    name: str,
+    follows: str,
+    margins: Margins,
+    grid: np.ndarray,
+    poles: np.ndarray,
+    closed: Callable[[np.ndarray], np.ndarray],
+    at_velocity_error: Callable[[], Margins],
+) -> LoopMargins:
+    """The loop ``name`` of a law: its ``margins``, its bandwidth, and the least damped of its ``poles`` [1/s].
+
+    ``grid`` [rad/s] brackets the -3 dB of the ``closed`` loop's response to what the law ``follows``. The margins
+    ``at_velocity_error`` are there if they differ.
+    """
+    bandwidth = _minus_3_db(closed, grid) if margins.stable and follows in FOLLOWED else None
+    error = None
+    if name == follows == "velocity" and margins.stable:
+        error = _if_different(margins, at_velocity_error())
+    return LoopMargins(
+        POSITION_ERROR if name == "position" else PLANT_INPUT,
+        margins,
+        bandwidth,
+        *_least_damped(poles, margins.crossover, bandwidth),
+        error,
+    )
 
 
 def _closed(loop: SampledLoop, plant: SampledPlant, follows: str) -> Callable[[np.ndarray], np.ndarray]:
@@ -356,15 +397,11 @@ def _closed(loop: SampledLoop, plant: SampledPlant, follows: str) -> Callable[[n
     def velocity(w: np.ndarray) -> np.ndarray:
         return loop.response(w, "voltage", "reference") * plant.response(w)
 
-    def position(w: np.ndarray) -> np.ndarray:
-        z = np.exp(1j * np.asarray(w) * plant.period)
-        return loop.response(w, "mean_velocity", "reference") * plant.period / (z - 1.0)
-
     def alone(w: np.ndarray) -> np.ndarray:
         gain = loop.loop_gain(w)
         return gain / (1.0 + gain)
 
-    return {"velocity": velocity, "position": position}.get(follows, alone)
+    return {"velocity": velocity, "position": lambda w: loop.position_response(w, "reference")}.get(follows, alone)
 
 
 def _velocity_error(loop: SampledLoop, form: LinearLaw, plant: SampledPlant) -> Callable[[np.ndarray], np.ndarray]:
@@ -480,32 +517,6 @@ def _response(form: LinearLaw, period: float, s: np.ndarray, place: int) -> np.n
     if form.cycle == 1:
         return transfer(*matrices, np.exp(s * period))
     return periodic_response(*matrices, -1j * s.ravel() * period).reshape(s.shape)
-
-
-def _continuous(loop: ContinuousLoop, plant: SampledPlant, name: str, follows: str) -> LoopMargins:
-    grid, poles = loop.frequencies(plant), loop.poles
-    stable = bool(np.all(poles.real <= MARGINAL * np.abs(poles)))
-    at_error = name == "position"
-    broken = loop.at_position_error if at_error else loop.at_plant_input
-    margins = _bounded(loop_margins(lambda w: broken(1j * w), grid, stable))
-
-    def closed(w: np.ndarray) -> np.ndarray:
-        s = 1j * np.asarray(w)
-        if not follows:
-            return loop.at_plant_input(s) / (1.0 + loop.at_plant_input(s))
-        return loop.followed(s) * (s if follows == "velocity" else 1.0)
-
-    error = None
-    if name == "velocity" and follows == "velocity" and stable:
-        error = _if_different(margins, _bounded(loop_margins(lambda w: loop.at_velocity_error(1j * w), grid, True)))
-    bandwidth = _minus_3_db(closed, grid) if stable and follows in FOLLOWED else None
-    return LoopMargins(
-        POSITION_ERROR if at_error else PLANT_INPUT,
-        margins,
-        bandwidth,
-        *_least_damped(poles, margins.crossover, bandwidth),
-        error,
-    )
 
 
 def _bounded(margins: Margins) -> Margins:

@@ -368,7 +368,8 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     for _ in range(20):  # the effects' forces need the motor force, which needs their forces
         for member in members:
             member.settle(velocity, tau)
-        previous, tau = tau, _steady_force(members, b, velocity, tau)
+        forces = sum(member.force(0.0, velocity, tau, member.x) for member in members)
+        previous, tau = tau, float(b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET] + forces)
         if abs(tau - previous) <= 1e-9 * max(1.0, abs(tau)):
             break
 
@@ -446,12 +447,6 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     delay = sum(member.delay(velocity, tau) for member in members)
     steepest = sum(member.steepest(velocity, tau) for member in members)
     return LinearPlant(A, B, E, C, delay, float(mass), float(drag[VELOCITY]), tuple(names), tuple(warnings), steepest)
-
-
-def _steady_force(members: list[Member], b: np.ndarray, v: float, tau: float) -> float:
-    """Motor force [N] of steady motion at ``v`` [m/s]."""
-    forces = sum(member.force(0.0, v, tau, member.x) for member in members)
-    return float(b[VISCOUS] * v + np.sign(v) * b[COULOMB] + b[OFFSET] + forces)
 
 
 @dataclass(frozen=True)

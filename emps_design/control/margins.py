@@ -329,6 +329,18 @@ def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.nd
     return np.exp(root)
 
 
+def bisect(past: Callable[[float], bool], low: float, high: float, apart: float) -> tuple[float, float]:
+    """Return the ends of the bracket [low, high], with ``past`` of the upper end alone, cut to that ratio of the two.
+
+    >>> round(bisect(lambda x: x * x > 2.0, 1.0, 2.0, 1.0 + 1e-9)[0], 6)
+    1.414214
+    """
+    while high > low * apart:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if past(middle) else (middle, high)
+    return low, high
+
+
 def transfer(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: Any, z: np.ndarray) -> np.ndarray:
     """Return ``c (z I - A)^-1 b + d`` at ``z`` of any shape: (..., n, n), (..., n), (..., n), (...) -> (..., *z.shape).
 
@@ -448,8 +460,11 @@ def periodic_margins(
     without it there is no delay margin.
     """
 
+    added = column[..., :, None] * row[..., None, :]
+
     def radii(factors: np.ndarray) -> np.ndarray:
-        return monodromy_radii(opened, column, row, factors)
+        closed = opened[:, None] + factors[:, None, None] * added[:, None]
+        return np.abs(np.linalg.eigvals(monodromy(closed))).max(axis=-1)
 
     if radii(np.ones(1))[0] > 1.0 + 1e-9:
         return Margins(stable=False, period=period)
@@ -498,13 +513,6 @@ def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period:
         if angle > 0.0:
             delays.append(turn / angle * len(opened) * period)
     return min(delays, default=None)
-
-
-def monodromy_radii(opened: np.ndarray, column: np.ndarray, row: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    """Largest moduli (m,) of the poles of the loop closed with each of ``factors`` (m,) at the break."""
-    added = column[..., :, None] * row[..., None, :]
-    closed = opened[:, None] + factors[:, None, None] * added[:, None]
-    return np.abs(np.linalg.eigvals(monodromy(closed))).max(axis=-1)
 
 
 def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, tried: np.ndarray, at_once: int = 20) -> float | None:

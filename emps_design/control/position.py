@@ -9,7 +9,6 @@ changes the response to the reference but not the loop. Following errors are giv
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis, Controller
+from emps_design.control.margins import bisect
 from emps_design.control.sampled import NestedLoop, SampledLoop, axis_loop, nested_loops
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import MINUS_3_DB
@@ -26,6 +26,7 @@ from emps_design.laws.library import cascade
 
 WANTED = {"overshoot": "%", "bandwidth": "rad/s", "stiffness": "N/m", "kp": "1/s"}
 LOWEST = 1e-4  # of the velocity loop's crossover: the slowest position loop tried
+KP_CLOSE = 1.0 + 2.1e-8  # ratio of two gains that are alike
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class PositionLoopDesign:
 
     def position_response(self, w: np.ndarray) -> np.ndarray:
         """From position reference to position at ``w`` (f,) [rad/s]."""
-        return _position(self.loop, w, "reference")
+        return self.loop.position_response(w, "reference")
 
     @property
     def overshoot_percent(self) -> float:
@@ -119,7 +120,8 @@ class PositionLoopDesign:
         w = np.array([low, 2.0 * low])
         errors = {}
         for name, feedforward in self.feedforwards.items():
-            error = (1.0 - _position(axis_loop(self.axis(**feedforward), loop.velocity), w, "reference")) / (1j * w)
+            ahead = axis_loop(self.axis(**feedforward), loop.velocity)
+            error = (1.0 - ahead.position_response(w, "reference")) / (1j * w)
             jerk = (error[0].real - error[1].real) / (3.0 * low**2)  # of c1 + c2 jw + c3 (jw)^2
             errors[name] = {
                 "velocity": float(error[0].real + jerk * low**2),
@@ -189,7 +191,7 @@ def design_position_loop(
     first = next((place for place, kp in enumerate(grid) if reached(float(kp))), None)
     if first is None or first == 0:
         raise _unreachable(design(float(grid[-1 if first is None else 0])), wanted, value)
-    kp = _bisect(reached, float(grid[first - 1]), float(grid[first]))
+    kp, _ = bisect(reached, float(grid[first - 1]), float(grid[first]), KP_CLOSE)
     if wanted == "overshoot":
         kp *= 1.0 - 1e-9
     position_loop = design(kp)
@@ -198,19 +200,6 @@ def design_position_loop(
     ):
         raise _unreachable(design(float(grid[first - 1])), wanted, value)
     return position_loop
-
-
-def _position(loop: SampledLoop, w: np.ndarray, by: str) -> np.ndarray:
-    """Position over the input ``by`` at ``w`` (f,) [rad/s], from the mean velocity of each period."""
-    z = np.exp(1j * np.asarray(w) * loop.period)
-    return loop.response(w, "mean_velocity", by) * loop.period / (z - 1.0)
-
-
-def _bisect(past: Callable[[float], bool], low: float, high: float) -> float:
-    for _ in range(24):
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if past(middle) else (middle, high)
-    return low
 
 
 def _unreachable(nearest: PositionLoopDesign, wanted: str, value: float) -> SpecificationError:

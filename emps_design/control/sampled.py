@@ -108,6 +108,11 @@ class SampledLoop:
         matrices = self.A, self.B[..., place], self.C[..., row, :], self.D[..., row, place]
         return transfer(*matrices, np.exp(1j * angle)) if self.cycle == 1 else periodic_response(*matrices, angle)
 
+    def position_response(self, w: np.ndarray, by: str) -> np.ndarray:
+        """Position over the input ``by`` at ``w`` (f,) [rad/s], from the mean velocity of each period, (..., f)."""
+        z = np.exp(1j * np.asarray(w) * self.period)
+        return self.response(w, "mean_velocity", by) * self.period / (z - 1.0)
+
     def admittance(self, w: np.ndarray) -> np.ndarray:
         """Mean velocity over held force at ``w`` (f,) [rad/s], shape (..., f) [m/s/N]."""
         return self.response(w)
@@ -385,8 +390,11 @@ def at_plant_input(plant: SampledPlant, form: LinearLaw, delay_margins: bool = T
     """
     loop = close(plant, form, plant_input=True)
     if form.cycle > 1:
-        delayed = (lambda delay: _radius_with(plant.delayed(delay), form)) if delay_margins else None
-        return periodic_margins(*loop.opened, plant.period, delayed)
+
+        def delayed(delay: float) -> float:
+            return float(np.abs(close(plant.delayed(delay), form, plant_input=True).poles).max())
+
+        return periodic_margins(*loop.opened, plant.period, delayed if delay_margins else None)
 
     return loop_margins(
         loop.loop_gain,
@@ -395,10 +403,6 @@ def at_plant_input(plant: SampledPlant, form: LinearLaw, delay_margins: bool = T
         plant.period,
         lambda w, delay: loop.loop_gain(w) * plant.delayed_response(w, delay) / plant.response(w),
     )
-
-
-def _radius_with(plant: SampledPlant, form: LinearLaw) -> float:
-    return float(np.abs(close(plant, form, plant_input=True).poles).max())
 
 
 def at_position_error(plant: SampledPlant, form: LinearLaw) -> Margins:

@@ -9,7 +9,7 @@ filter, with the overshoot of their step responses. Overshoot, rise and settling
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -37,7 +37,7 @@ from emps_design.control.velocity.load_range import (
     with_errors,
 )
 from emps_design.errors import SpecificationError
-from emps_design.messages import Message, warning
+from emps_design.messages import Message, grave, warning
 
 if TYPE_CHECKING:
     from emps_design.control.position import PositionLoopDesign
@@ -112,20 +112,6 @@ def cases_of(
             cases.append(Case(loaded(axis, point["inertia"], point["compliance"]), velocity, point["delay"], where))
     off = corners(errors) if errors else []
     return (*cases, *(Case(with_errors(axis, shares), velocity, where=shares) for shares in off))
-
-
-def loops_over(cases: Iterable[Case]) -> tuple[NestedLoop, ...]:
-    """Return the loops of every case, those of the first case first; see :func:`~.sampled.worst_loop`.
-
-    >>> from emps_design.control.sampled import worst_loop
-    >>> from emps_design.machines import machine
-    >>> cascade = {"kind": "cascade", "position": {"kp": 30.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
-    >>> axis = machine("emps2019").replace(controller=cascade)
-    >>> worst = worst_loop(loops_over(cases_of(axis, span=LoadRange(inertia=(1.0, 9.0)))))
-    >>> worst.name, dict(worst.where), worst.margins.stable
-    ('whole loop', {'inertia': 9.0}, True)
-    """
-    return tuple(loop for case in cases for loop in case.loops)
 
 
 @dataclass(frozen=True)

@@ -176,7 +176,7 @@ def _notes(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
 
 def what_is_judged(document: dict[str, Any]) -> str:
     """The subject of the verdict of ``gains``: the loops, and the machines on which they run."""
-    parts = [f"{document['axis']}: sampled velocity loop, {loop_in_words(document)}"]
+    parts = [f"{document['axis']}: sampled velocity loop, {structure_in_words(document)}"]
     if "position_loop" in document:
         parts.append("with the position loop around it")
     if "kept_position_loop" in document:
@@ -197,11 +197,11 @@ def worst_in_words(worst: dict[str, Any], units: Units) -> str:
     return f"worst: {' '.join(filter(None, loop))}: {has}"
 
 
-def loop_in_words(document: dict[str, Any]) -> str:
+def structure_in_words(document: dict[str, Any]) -> str:
     """Structure and filters of a velocity loop in words.
 
     >>> filters = [{"kind": "lowpass", "frequency": 350.0}]
-    >>> loop_in_words({"structure": "pi", "reference_filter": False, "filters": filters})
+    >>> structure_in_words({"structure": "pi", "reference_filter": False, "filters": filters})
     'PI with lowpass 350 Hz'
     """
     parts = ["reference filter"] if document["reference_filter"] else []
@@ -253,7 +253,7 @@ def _suggestion(suggestion: dict[str, Any], units: Units) -> Iterator[Line | Tab
     table_of_filter, sides = suggestion["filter"], [("without", suggestion["without"])]
     if table_of_filter is not None:
         loop = {"structure": "", "reference_filter": False, "filters": [table_of_filter]}
-        words = loop_in_words(loop).removeprefix(" with ")
+        words = structure_in_words(loop).removeprefix(" with ")
         sides += [(f"{words}, equal margins", suggestion["with_equal_margins"]), (words, suggestion["with"])]
 
     def row(label: str, unit: str, cell: Callable[[dict[str, Any]], str]) -> tuple[str, ...]:
@@ -428,7 +428,7 @@ def force_view(document: dict[str, Any], units: Units) -> View:
     return (
         verdict_line(document["stable"], what),
         Line(worst_in_words(document["worst_loop"], units)),
-        Table(("", "value", "unit"), rows, f"{force.capitalize()} loop around {loop_in_words(document)}"),
+        Table(("", "value", "unit"), rows, f"{force.capitalize()} loop around {structure_in_words(document)}"),
         Table(headings, by_place, f"Largest k_e1 [{units.unit('(m/s)/N')}]"),
         Line(f"margins of the sampled {force} loop: {_in_one_line(document['margins'])}"),
         Line(f"continuous poles: {poles} rad/s"),

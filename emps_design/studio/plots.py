@@ -99,7 +99,7 @@ def _pairs(state: State) -> Pairs:
 
 def _designs(state: State, frequency: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Whether each specification has gains, and whether they give a stable sampled loop; arrays of one shape."""
-    from emps_design.control.velocity.specification import sweep_stability
+    from emps_design.control.velocity.sampled import sweep_stability
 
     pairs = _pairs(state)
     k_v1, t_v = pairs.gains(frequency.ravel(), phases.ravel())
@@ -165,7 +165,7 @@ def _velocity_loop_alone(state: State, **kept: Any) -> State:
 
 @lru_cache(maxsize=16)
 def _plane(table: str, columns: int, rows: int) -> Plane:
-    from emps_design.control.velocity.specification import sweep_sampled_margins
+    from emps_design.control.velocity.sampled import sweep_sampled_margins
 
     state = State.from_toml(table)
     frequency = choices_of(state.axis)["frequency"]

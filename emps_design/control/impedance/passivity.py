@@ -31,6 +31,7 @@ from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis, sample_plant
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.linear_plant import FREE, Environment, attached, felt, rigid_plant
+from emps_design.control.margins import bisect
 from emps_design.control.sampled import MARGINAL, SampledLoop, close, sorted_poles
 from emps_design.laws import Law
 from emps_design.laws.estimators import estimator_response
@@ -39,6 +40,8 @@ from emps_design.laws.linear import linear_law, own_poles
 from emps_design.stretches import stretches
 
 Bands = tuple[tuple[float, float], ...]
+
+CLOSE = 1.001  # ratio of two walls, or of two apparent masses, that are alike
 
 
 @dataclass(frozen=True)
@@ -363,7 +366,7 @@ def _radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, touched: Envi
 def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> float | None:
     """Largest stiffness [N/m] of an undamped wall below which every wall is stable; None: all up to 1 GN/m.
 
-    Searched on stiffnesses 11 % apart, bisected to 0.1 %; 0 if the softest wall is already unstable: that of 1 N/m, or
+    Searched on stiffnesses 11 % apart, bisect to 0.1 %; 0 if the softest wall is already unstable: that of 1 N/m, or
     of 1e-8 M_a/T^2 for a light axis.
     """
     stiffness = np.geomspace(1.0, 1e9, 200)
@@ -379,11 +382,5 @@ def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> float
         return None
     if bad[0] == 0:
         return 0.0
-    low, high = stiffness[bad[0] - 1], stiffness[bad[0]]
-    while high / low > 1.001:
-        middle = math.sqrt(low * high)
-        if unstable(np.array([middle]))[0]:
-            high = middle
-        else:
-            low = middle
-    return float(low)
+    ends = stiffness[bad[0] - 1], stiffness[bad[0]]
+    return float(bisect(lambda wall: unstable(np.array([wall]))[0], *ends, CLOSE)[0])

@@ -23,10 +23,12 @@ from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
 from emps_design.control.impedance.passivity import (
+    CLOSE,
     Clock,
     recursion_poles,
     sampled_loop,
 )
+from emps_design.control.margins import bisect
 from emps_design.control.sampled import MARGINAL, PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
 from emps_design.control.velocity.load_range import corners as corners_of
 from emps_design.errors import InputError
@@ -252,7 +254,7 @@ def smallest_mass(
 ) -> float | None:
     """Smallest M_a [kg] such that the law is stable at every corner from there up to M; None if there is none.
 
-    Searched on 200 masses between M/1000 and M, then bisected to 0.1 %. ``calm(law)`` says whether the carriage does
+    Searched on 200 masses between M/1000 and M, then bisect to 0.1 %. ``calm(law)`` says whether the carriage does
     not swing though the poles are stable; with it the mass is one step above the smallest calm one, in steps of at most
     5 %.
     """
@@ -277,14 +279,11 @@ def _smallest_stable(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mism
         return float(masses[0])
     if bad[-1] == len(masses) - 1:
         return None
-    lo, hi = masses[bad[-1]], masses[bad[-1] + 1]
-    while hi / lo > 1.001:
-        middle = math.sqrt(lo * hi)
-        if worst_radius(replace(law, mass=middle), plant, clock, mismatch) > 1.0 + MARGINAL:
-            lo = middle
-        else:
-            hi = middle
-    return float(hi)
+
+    def stable(mass: float) -> bool:
+        return bool(worst_radius(replace(law, mass=mass), plant, clock, mismatch) <= 1.0 + MARGINAL)
+
+    return float(bisect(stable, masses[bad[-1]], masses[bad[-1] + 1], CLOSE)[1])
 
 
 def nearest_stable(

@@ -295,7 +295,6 @@ class VelocityLoopDesign(Viewed):
     @property
     def warnings(self) -> tuple[Message, ...]:
         """Messages on the design, instability first."""
-
         warnings = [*self.sampled.warnings, *room_in_words(self.sampled)]
         warnings += effects_in_words(self.axis, self.sampled, self.velocity)
         warnings += law_in_words(self.sampled, not self.retuned_at)
@@ -420,19 +419,10 @@ class VelocityLoopDesign(Viewed):
         own = {"kind": kind.name, **table.model_dump(exclude_none=True)}
         return self.axis.replace(controller=Controller.model_validate(own))
 
-    def _implementation(self) -> dict[str, Any]:
-
-        stable = self.sampled.stable
-        return {
-            "difference_equation": difference_equation(
-                self.axis, self.k_v1, self.t_v, self.structure, self.filters
-            ).to_dict(),
-            "largest_velocity_step": largest_velocity_step(self.axis, self.sampled) if stable else None,
-            "encoder_voltage_noise": encoder_voltage_noise(self.axis, self.sampled) if stable else None,
-        }
-
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI units, angles in degrees."""
+        stable = self.sampled.stable
+        law = difference_equation(self.axis, self.k_v1, self.t_v, self.structure, self.filters)
         return {
             "axis": self.axis.name,
             "requested": dict(self.requested),
@@ -459,7 +449,9 @@ class VelocityLoopDesign(Viewed):
             "continuous_with_lags": self.with_lags.velocity_error.to_dict(),
             "closed_forms_leave_out": ["the sampling", *self.left_out],
             "sampled": self.sampled.to_dict(),
-            **self._implementation(),
+            "difference_equation": law.to_dict(),
+            "largest_velocity_step": largest_velocity_step(self.axis, self.sampled) if stable else None,
+            "encoder_voltage_noise": encoder_voltage_noise(self.axis, self.sampled) if stable else None,
             "warnings": list(self.warnings),
         }
 

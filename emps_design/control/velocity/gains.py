@@ -256,6 +256,68 @@ class Structure:
         return np.where(np.isfinite(lowest), lowest, np.nan)
 
 
+IP, PI, PI_WITH_REFERENCE_FILTER = Structure(), Structure("pi"), Structure("pi", True)
+STRUCTURES = (IP, PI, PI_WITH_REFERENCE_FILTER)
+
+
+@dataclass(frozen=True)
+class VelocityLoopSweep:
+    """Arrays of one shape, NaN where there are no gains; units as in the scalar design.
+
+    ``k_v1`` [V/(m/s)], ``t_v`` [s], ``K_v`` [N/m], ``omega_0v`` [rad/s], ``z_v``, ``bandwidth`` [rad/s] of T_vc;
+    ``plant_input_phase_margin_deg`` [deg], ``plant_input_crossover`` [rad/s] and ``delay_margin`` [s] of the continuous
+    loop broken at the plant input; ``feasible`` is True where there are gains.
+    """
+
+    crossover: np.ndarray
+    phase_margin_deg: np.ndarray
+    feasible: np.ndarray
+    k_v1: np.ndarray
+    t_v: np.ndarray
+    K_v: np.ndarray
+    omega_0v: np.ndarray
+    z_v: np.ndarray
+    bandwidth: np.ndarray
+    plant_input_phase_margin_deg: np.ndarray
+    plant_input_crossover: np.ndarray
+    delay_margin: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        """The arrays by name."""
+        return dict(vars(self))
+
+
+def sweep_velocity_loop(
+    axis: Axis, crossover: np.ndarray | float, phase_margin_deg: np.ndarray | float, structure: Structure = IP
+) -> VelocityLoopSweep:
+    """Design by (7), or its counterpart for "pi", for pairs of ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
+
+    The two broadcast. A pair that cannot be met gives NaN and ``feasible`` False; :class:`InputError` for crossovers
+    that are not positive numbers.
+
+    >>> from emps_design.machines import machine
+    >>> sweep = sweep_velocity_loop(machine("emps2018"), np.array([100.0, 100.0]), np.array([60.0, 1.0]))
+    >>> np.round(sweep.k_v1, 3).tolist(), sweep.feasible.tolist()
+    ([556.766, nan], [True, False])
+    """
+    w, phase = np.broadcast_arrays(np.asarray(crossover, dtype=float), np.asarray(phase_margin_deg, dtype=float))
+    if not np.all(np.isfinite(w) & (w > 0.0)):
+        raise InputError("crossover: found a value that is not a positive number of rad/s")
+    mass, viscous, gain = axis.mechanics.mass, axis.damping, axis.drive.gain
+    low, high = structure.feasible_phase_margin(mass, viscous, w)
+    feasible = (phase > low) & (phase < high)
+    feasible_phase = np.where(feasible, phase, np.nan)
+    K, t_v = structure.gains(mass, viscous, w, feasible_phase)
+    K_v, (omega_0v, z_v) = K / t_v, second_order_form(mass, viscous, K, t_v)
+    # |L| = 1 at the plant input: M^2 x^2 + (F^2 - K^2) x - K_v^2 = 0 with x = w^2
+    at_input = np.sqrt(positive_root(mass**2, viscous**2 - K**2, -(K_v**2)))
+    lag = np.arctan(at_input * t_v) + np.arctan2(viscous, mass * at_input)
+    return VelocityLoopSweep(
+        w, phase, feasible, K / gain, t_v, K_v, omega_0v, z_v, structure.bandwidth(omega_0v, z_v, t_v),
+        np.degrees(lag), at_input, lag / at_input,
+    )  # fmt: skip
+
+
 def filter_from_text(text: str) -> cascade.Filter | str:
     """A filter of the command from its text, such as "notch:48Hz"; "none" stays.
 
@@ -317,7 +379,3 @@ def _cascade(axis: Axis) -> cascade.Table | None:
     """The cascade controller of ``axis``, None if it has another one."""
     table = table_of(axis) if axis.controller.kind == cascade.LAW.name else None
     return table if isinstance(table, cascade.Table) else None
-
-
-IP, PI, PI_WITH_REFERENCE_FILTER = Structure(), Structure("pi"), Structure("pi", True)
-STRUCTURES = (IP, PI, PI_WITH_REFERENCE_FILTER)

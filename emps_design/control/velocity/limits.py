@@ -22,23 +22,22 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant, sample_axis
-from emps_design.control.margins import disk_size
+from emps_design.control.margins import bisect, disk_size
 from emps_design.control.velocity.design import VelocityLoopDesign, command_in_a_step, encoder_voltage_noise
 from emps_design.control.velocity.gains import IP, MINUS_3_DB, PLACES, Structure, own_filters, own_structure
-from emps_design.control.velocity.sampled import SampledVelocityLoop
+from emps_design.control.velocity.sampled import SampledVelocityLoop, sweep_sampled_margins, sweep_stability
 from emps_design.control.velocity.specification import (
     ROOM,
     Pairs,
     check_specification,
     nearest_that_works,
     proposal_in_words,
-    sweep_sampled_margins,
-    sweep_stability,
 )
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 
 RETUNE_GRID = 240  # crossovers tried for one bandwidth, at equal ratios
+BANDWIDTH_CLOSE = 1.0 + 2.8e-11  # ratio of two bandwidths that are alike
 
 GAIN_MARGIN = 2.0
 INTEGRAL = 10.0  # largest crossover times integral time: beyond, a constant force is hardly compensated
@@ -261,10 +260,7 @@ def _largest_bandwidth(plant: SampledPlant, phase_margin_deg: float, at: str, st
     if not feasible.size:
         return 0.0
     low, high = grid[feasible[-1]], grid[min(feasible[-1] + 1, grid.size - 1)]
-    for _ in range(30):
-        middle = np.sqrt(low * high)
-        low, high = (middle, high) if works(np.array([middle]))[0] else (low, middle)
-    return float(low)
+    return float(bisect(lambda bandwidth: not works(np.array([bandwidth]))[0], low, high, BANDWIDTH_CLOSE)[0])
 
 
 @dataclass(frozen=True)
@@ -397,10 +393,7 @@ def _exceeded(exceeds: Callable[[float], bool], grid: np.ndarray) -> tuple[float
 def _change(exceeds: Callable[[float], bool], low: float, high: float) -> float:
     """Frequency [rad/s] between ``low`` and ``high`` at which ``exceeds`` changes, to :data:`CLOSE`."""
     before = exceeds(low)
-    while high > low * (1.0 + CLOSE):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if exceeds(middle) == before else (low, middle)
-    return float(high)
+    return float(bisect(lambda w: exceeds(w) != before, low, high, 1.0 + CLOSE)[1])
 
 
 def suggest_filter(
@@ -423,7 +416,6 @@ def suggest_filter(
     >>> suggestion["filter"]["kind"], suggestion["with"]["crossover"] > 1.5 * suggestion["without"]["crossover"]
     ('notch', True)
     """
-
     plant = sample_axis(axis, velocity, filters)
     own = reach(plant, phase_margin_deg)
     kept = SampledVelocityLoop(plant, own.k_v1, own.t_v).margins if own.crossover else None

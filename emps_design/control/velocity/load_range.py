@@ -20,12 +20,12 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant, sample_axis
-from emps_design.control.margins import LOWEST, Margins
+from emps_design.control.margins import LOWEST
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import PLACES
 from emps_design.control.velocity.limits import GAIN_MARGIN, INTEGRAL, retuned_gains
-from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.specification import ROOM, sweep_sampled_margins
+from emps_design.control.velocity.sampled import SampledVelocityLoop, sweep_sampled_margins
+from emps_design.control.velocity.specification import ROOM
 from emps_design.errors import InputError
 
 COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that splits the mass by a spring
@@ -144,17 +144,8 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
     entries = []
     for point, plant in zip(points, plants, strict=True):
         loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
-        margins = _margins(loop, at)
-        entries.append(
-            {**point, "bandwidth": loop.bandwidth, **margins.to_dict(), "plant_input": loop.margins.to_dict()}
-        )
-    worst = min(
-        entries,
-        key=lambda entry: (
-            entry["stable"],
-            math.inf if entry["phase_margin_deg"] is None else entry["phase_margin_deg"],
-        ),
-    )
+        margins, at_input = loop.margins_at(at).to_dict(), loop.margins.to_dict()
+        entries.append({**point, "bandwidth": loop.bandwidth, **margins, "plant_input": at_input})
     crossover = _requested_crossover(design, at)
     single = _fastest_gains(plants, phase, at, crossover)
     schedule = []
@@ -165,16 +156,20 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
         "at": at,
         "phase_margin_deg": phase,
         "points": entries,
-        "worst": worst,
+        "worst": _least_phase_margin(entries),
         "one": single,
         "schedule": schedule,
         "text": _summary(crossover, at, single, schedule),
     }
 
 
-def _margins(loop: SampledVelocityLoop, at: str) -> Margins:
-    """Margins of ``loop`` broken ``at`` the plant input or the velocity error."""
-    return loop.margins if at == PLACES[0] else loop.velocity_error
+def _least_phase_margin(entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The entry with the least phase margin, an unstable one first; without a crossover it is unbounded."""
+
+    def margin(entry: dict[str, Any]) -> float:
+        return math.inf if entry["phase_margin_deg"] is None else entry["phase_margin_deg"]
+
+    return min(entries, key=lambda entry: (entry["stable"], margin(entry)))
 
 
 def _fastest_gains(plants: list[SampledPlant], phase: float, at: str, crossover: float) -> dict[str, Any] | None:
@@ -338,12 +333,6 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
             t_vs.append(float(t_v))
     stable = [corner for corner in outcomes if corner["stable"]]
 
-    def goodness(corner: dict[str, Any]) -> tuple[bool, float]:
-        margin = corner["phase_margin_deg"]  # None: no crossover, unbounded
-        return corner["stable"], math.inf if margin is None else margin
-
-    worst = min(outcomes, key=goodness)
-
     def interval(key: str) -> list[float] | None:
         values = [corner[key] for corner in stable if corner[key] is not None]
         return [min(values), max(values)] if values else None
@@ -352,7 +341,7 @@ def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, floa
         "errors": dict(errors),
         "corners": len(outcomes),
         "stable_share": len(stable) / len(outcomes),
-        "worst": worst,
+        "worst": _least_phase_margin(outcomes),
         **{key: interval(key) for key in ("phase_margin_deg", "crossover", "delay_margin", "gain_margin", "bandwidth")},
         "gains": {"k_v1": [min(k_v1s), max(k_v1s)], "t_v": [min(t_vs), max(t_vs)]} if k_v1s else None,
     }

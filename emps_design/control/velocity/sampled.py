@@ -1,7 +1,8 @@
 """The velocity loop as implemented, sampled and continuous with every lag, and its response to a step.
 
 :class:`SampledVelocityLoop` has hold, delays, current loop, effects and velocity estimator. Stability is judged by the
-closed-loop poles first; an unstable loop has no margins.
+closed-loop poles first; an unstable loop has no margins. Of thousands of gains at once stability is that of the
+Schur-Cohn test, and the margins are arrays.
 
 :func:`step_answer` is the response of a closed loop to a held step, however slow the loop. A held input is a constant
 state, so many samples together are one exact matrix product. The first samples are all returned, then blocks of
@@ -24,9 +25,18 @@ import numpy as np
 
 from emps_design.control.discretisation import SampledPlant, frequencies_around, oscillations
 from emps_design.control.linear_plant import POSITION, LinearPlant, linear_plant
-from emps_design.control.margins import LOOP_NAMES, Margins, further_down, loop_margins, transfer
-from emps_design.control.sampled import OUTPUTS, SampledLoop, close
-from emps_design.control.velocity.gains import IP, MINUS_3_DB, Structure
+from emps_design.control.margins import (
+    KEYS,
+    LOOP_NAMES,
+    LOWEST,
+    Margins,
+    further_down,
+    loop_margins,
+    margin_arrays,
+    transfer,
+)
+from emps_design.control.sampled import MARGINAL, OUTPUTS, SampledLoop, close
+from emps_design.control.velocity.gains import IP, MINUS_3_DB, PLACES, Structure
 from emps_design.laws import LawKind
 from emps_design.laws.estimators import BACKWARD, continuous, estimator_in_words
 from emps_design.laws.law import TWO_TAP, LawTable
@@ -44,8 +54,9 @@ BLOCK = 64  # consecutive samples, and at least a cycle
 EVERY = 20_000  # first samples, all of which are returned
 BLOCKS = 128  # least number of blocks, for long cycles
 
+SURE = 1e3  # least distance of a step of the stability test from its limit, in rounding errors
+
 PADE = 8
-MARGINAL = 1e-9  # share of the largest pole by which one may lie right of the imaginary axis: rounding
 TURN = 0.2  # rad, largest phase of a delay between two frequencies of the grid
 System = tuple[np.ndarray, np.ndarray, np.ndarray, float]  # A (n, n), b (n,), c (n,), d
 
@@ -190,6 +201,10 @@ class SampledVelocityLoop:
             return self.margins
         return loop_margins(self.velocity_error_response, self.plant.frequencies(), self.stable, self.plant.period)
 
+    def margins_at(self, place: str) -> Margins:
+        """Margins of the loop broken at ``place``, "plant-input" or "velocity-error"."""
+        return self.margins if place == PLACES[0] else self.velocity_error
+
     @cached_property
     def bandwidth(self) -> float | None:
         """First frequency where the velocity estimate has fallen to -3 dB [rad/s]; None if unstable."""
@@ -295,6 +310,121 @@ def velocity_table(
         return ip_velocity.LAW, ip_velocity.Table(k_v1=k_v1, t_v=t_v, **own)
     loop = cascade.VelocityLoop.model_validate({"kp": k_v1, "ti": t_v, "form": structure.form})
     return cascade.LAW, cascade.Table(velocity=loop, filters=filters, **own)
+
+
+def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
+    """Return for every pair of gains whether the sampled loop is stable, by the Schur-Cohn test of its polynomial.
+
+    Where rounding may decide, as in loops much slower than their sampling, the poles are computed.
+    ``k_v1`` [V/(m/s)], ``t_v`` [s] (n,); returns (n,) of bool, False where the gains are NaN.
+
+    >>> from emps_design.control.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> sweep_stability(sample_axis(machine("emps2018")), np.array([556.8, 5568.0]), np.array([8.455e-3, 8.455e-3]))
+    array([ True, False])
+    """
+    numerator, denominator = plant.polynomials
+    integrated = plant.period * np.append(numerator, 0.0)  # T z N, over (z - 1) in the law
+    proportional, open_loop = np.polymul(numerator, [1.0, -1.0]), np.polymul(denominator, [1.0, -1.0])
+    if plant.kept[0] == POSITION and abs(np.sum(numerator)) < 1e-6 * np.sum(np.abs(numerator)):
+        # With a force over position the final velocity is zero: the root of N at z = 1 cancels that of the integrator.
+        integrated = plant.period * np.append(np.polydiv(numerator, [1.0, -1.0])[0], 0.0)
+        proportional, open_loop = numerator, denominator
+    k, t = np.asarray(k_v1, dtype=float)[:, None], np.asarray(t_v, dtype=float)[:, None]
+    size = open_loop.size
+    both = np.zeros((2, size))  # what k_v1 and k_v1/t_v multiply
+    both[0, size - proportional.size :] = proportional
+    both[1, size - integrated.size :] = integrated
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        a = open_loop + k * both[0] + k / t * both[1]
+        stable, doubtful = np.ones(len(a), dtype=bool), np.zeros(len(a), dtype=bool)
+        error = np.full(len(a), np.finfo(float).eps)  # each step divides it by the distance from the limit
+        for degree in range(size - 1, 0, -1):
+            reflection = a[:, degree : degree + 1] / a[:, :1]
+            stable &= np.abs(reflection[:, 0]) < 1.0
+            apart = np.abs(1.0 - reflection[:, 0] ** 2)
+            doubtful |= apart < SURE * error
+            error = error / np.minimum(apart, 1.0)
+            a = a[:, :degree] - reflection * a[:, degree:0:-1]
+            a = a / a[:, :1]
+    which = np.flatnonzero(doubtful & np.isfinite(k[:, 0]))
+    stable[which] = _stable_by_poles(plant, k[which, 0], t[which, 0])
+    return stable
+
+
+def _stable_by_poles(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
+    """Return stability (n,) by eigenvalues, for loops much slower than their sampling.
+
+    The matrix of the loop is affine in k_v1 and k_v1/t_v.
+    """
+    if not k_v1.size:
+        return np.ones(0, dtype=bool)
+
+    def matrix(k: float, integral: float) -> np.ndarray:
+        kind, table = velocity_table(k, k / integral, IP, plant.filters, plant.estimator, in_a_cascade=True)
+        return close(plant, linear_law(kind.law(table, None, plant.period), plant.period)).A
+
+    k, integral = k_v1[:, None, None], (k_v1 / t_v)[:, None, None]
+    k_0, integral_0 = float(k.min()), float(integral.min())
+    base = matrix(k_0, integral_0)
+    more, more_integral = matrix(2.0 * k_0, integral_0) - base, matrix(k_0, 2.0 * integral_0) - base
+    A = base + (k / k_0 - 1.0) * more + (integral / integral_0 - 1.0) * more_integral
+    return np.abs(np.linalg.eigvals(A)).max(axis=-1) <= 1.0 + MARGINAL
+
+
+def sweep_sampled_margins(
+    plant: SampledPlant,
+    k_v1: np.ndarray,
+    t_v: np.ndarray,
+    frequencies: int = 100,
+    at: str = "plant-input",
+    exact_delay: bool = True,
+) -> dict[str, np.ndarray]:
+    """Return stability and margins of the sampled loop, broken ``at`` that place, for every pair of gains.
+
+    ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
+    ``emps_design.control.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
+    ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
+    Without ``exact_delay`` the delay margin is that of the phase alone: exact at whole samples, and so sufficient for
+    a comparison with one.
+
+    >>> from emps_design.control.discretisation import sample_axis
+    >>> from emps_design.machines import machine
+    >>> margins = sweep_sampled_margins(sample_axis(machine("emps2018")), np.array([556.766]), np.array([8.45505e-3]))
+    >>> round(float(margins["phase_margin_deg"][0]), 1), bool(margins["stable"][0])
+    (39.2, True)
+    """
+    shape = np.shape(k_v1)
+    k, t = np.ravel(np.asarray(k_v1, dtype=float)), np.ravel(np.asarray(t_v, dtype=float))
+    stable = sweep_stability(plant, k, t)
+    chosen = np.flatnonzero(stable)
+    grid = plant.frequencies(frequencies)
+    margins = {key: np.full(k.size, np.nan) for key in (*KEYS, LOWEST)}
+    for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
+        piece = chosen[start : start + 2000]
+        for key, values in _margins(plant, k[piece], t[piece], grid, at, exact_delay).items():
+            margins[key][piece] = values
+    return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in margins.items()}}
+
+
+def _margins(
+    plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, grid: np.ndarray, at: str, exact_delay: bool
+) -> dict[str, Any]:
+    """Margins of stable loops (n,); the delay margin may be exact where the delay acts."""
+
+    def loops(rows: np.ndarray) -> SampledVelocityLoop:
+        return SampledVelocityLoop(plant, k_v1[rows], t_v[rows])
+
+    nyquist = np.pi / plant.period
+    if at != "plant-input":
+        return margin_arrays(lambda w, rows: loops(rows).velocity_error_response(w), k_v1.size, grid, nyquist)
+    return margin_arrays(
+        lambda w, rows: loops(rows).plant_input_response(w),
+        k_v1.size,
+        grid,
+        nyquist,
+        (lambda w, rows, delay: loops(rows).delayed_response(w, delay)) if exact_delay else None,
+    )
 
 
 @dataclass(frozen=True)

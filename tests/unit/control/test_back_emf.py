@@ -6,7 +6,7 @@ import pytest
 from emps_design.control.impedance.law import impedance_law
 from emps_design.control.impedance.passivity import Clock, sampled_loop
 from emps_design.control.velocity.design import design_velocity_loop
-from emps_design.control.velocity.specification import sweep_velocity_loop
+from emps_design.control.velocity.gains import sweep_velocity_loop
 from emps_design.errors import SpecificationError
 from emps_design.frequency_response.experiment import _steady_command
 from emps_design.laws.friction_model import FrictionModel

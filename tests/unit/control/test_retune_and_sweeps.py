@@ -9,10 +9,10 @@ from hypothesis import given, settings, strategies as st
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.linear_plant import ActuatorMap
 from emps_design.control.velocity.design import design_velocity_loop, encoder_voltage_noise, largest_velocity_step
+from emps_design.control.velocity.gains import sweep_velocity_loop
 from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.control.velocity.load_range import identified_mismatch, margins_under_mismatch, relative_mismatch
-from emps_design.control.velocity.sampled import SampledVelocityLoop
-from emps_design.control.velocity.specification import sweep_sampled_margins, sweep_stability, sweep_velocity_loop
+from emps_design.control.velocity.sampled import SampledVelocityLoop, sweep_sampled_margins, sweep_stability
 from emps_design.errors import InputError, SpecificationError
 from emps_design.machines import machine
 

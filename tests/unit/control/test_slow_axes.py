@@ -10,8 +10,13 @@ from emps_design.control.sampled import axis_loop
 from emps_design.control.velocity.design import command_in_a_step, design_velocity_loop, largest_velocity_step
 from emps_design.control.velocity.gains import IP, PI, PI_WITH_REFERENCE_FILTER
 from emps_design.control.velocity.limits import limits, reach, retune_velocity_loop
-from emps_design.control.velocity.sampled import EVERY, SampledVelocityLoop, step_answer
-from emps_design.control.velocity.specification import sweep_sampled_margins, sweep_stability
+from emps_design.control.velocity.sampled import (
+    EVERY,
+    SampledVelocityLoop,
+    step_answer,
+    sweep_sampled_margins,
+    sweep_stability,
+)
 from emps_design.control.verdict import step_responses
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine
