@@ -55,7 +55,7 @@ from emps_design.control.sampled import (
 )
 from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.load_range import LoadRange, relative_mismatch
-from emps_design.control.verdict import Case, cases_of
+from emps_design.control.verdict import cases_of
 from emps_design.control.view import number, worst_in_words
 from emps_design.laws import get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
@@ -257,19 +257,17 @@ def controller_margins(
     """
     errors = None if mismatch is None else relative_mismatch(mismatch)
     here, *others = cases_of(axis, velocity, load, errors)
-    plant = _plant(here)
+    plant = sample_axis(here.axis, here.velocity)
     return ControllerMargins(
         axis,
         loops_around(axis, plant, velocity, continuous=True),
-        tuple((case.where, loops_around(axis, _plant(case), case.velocity)) for case in others),
+        tuple(
+            (case.where, loops_around(axis, sample_axis(case.axis, case.velocity, delay=case.delay), case.velocity))
+            for case in others
+        ),
         velocity,
         plant.linear.warnings,
     )
-
-
-def _plant(case: Case) -> SampledPlant:
-    plant = sample_axis(case.axis, case.velocity)
-    return plant.delayed(case.delay) if case.delay else plant
 
 
 def loops_around(axis: Axis, plant: SampledPlant, velocity: float = 0.1, continuous: bool = False) -> Loops:

@@ -315,18 +315,21 @@ def sample_plant(
     )
 
 
-def sample_axis(axis: Axis, velocity: float = 0.1, filters: tuple[Filter, ...] = ()) -> SampledPlant:
+def sample_axis(
+    axis: Axis, velocity: float = 0.1, filters: tuple[Filter, ...] = (), delay: float = 0.0
+) -> SampledPlant:
     """Return the sampled plant of ``axis`` with ``filters`` before it, its effects linearised at ``velocity`` [m/s].
+
+    ``delay`` [s] adds to that of the command.
 
     >>> from emps_design.machines import machine
     >>> sample_axis(machine("emps2018")).linear.state
     ('position', 'velocity', 'motor_force')
     """
-    sampling = axis.sampling
-    plant = sample_plant(
-        linear_plant(axis, velocity), sampling.period, sampling.computation_delay, axis.controller.velocity_estimator
-    )
-    return replace(plant, filters=filters) if filters else plant
+    sampling, linear = axis.sampling, linear_plant(axis, velocity)
+    linear = replace(linear, delay=linear.delay + delay)
+    estimator = axis.controller.velocity_estimator
+    return replace(sample_plant(linear, sampling.period, sampling.computation_delay, estimator), filters=filters)
 
 
 BESIDE = 1.5  # ratio of frequencies up to which a frequency belongs to a resonance

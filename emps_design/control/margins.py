@@ -57,6 +57,7 @@ MOST_GAIN = 1e4  # above this a gain margin is unbounded
 _NEAR = 30.0  # samples; up to this delay every tenth of a sample is tried
 _TURNS, _FACTORS = np.radians(np.arange(1.0, 181.0)), np.geomspace(1.0, MOST_GAIN, 241)[1:]
 
+MARGINAL = 1e-9  # a pole this close to the unit circle counts as on it, so that rounding decides no verdict
 AT_ONCE = 100_000  # systems solved together
 ROUNDING = 32.0 * np.finfo(float).eps  # relative error of a coefficient
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -330,7 +331,9 @@ def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.nd
 
 
 def bisect(past: Callable[[float], bool], low: float, high: float, apart: float) -> tuple[float, float]:
-    """Return the ends of the bracket [low, high], with ``past`` of the upper end alone, cut to that ratio of the two.
+    """Return a bracket [low, high] halved in equal ratios until its ends are at most ``apart`` times each other.
+
+    ``past`` holds at ``high`` and not at ``low``.
 
     >>> round(bisect(lambda x: x * x > 2.0, 1.0, 2.0, 1.0 + 1e-9)[0], 6)
     1.414214
@@ -466,7 +469,7 @@ def periodic_margins(
         closed = opened[:, None] + factors[:, None, None] * added[:, None]
         return np.abs(np.linalg.eigvals(monodromy(closed))).max(axis=-1)
 
-    if radii(np.ones(1))[0] > 1.0 + 1e-9:
+    if radii(np.ones(1))[0] > 1.0 + MARGINAL:
         return Margins(stable=False, period=period)
     phase = _first(lambda turns: radii(np.exp(-1j * turns)), 0.0, _TURNS)
     gain = _first(radii, 1.0, _FACTORS)
@@ -500,7 +503,7 @@ def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period:
         return np.linalg.eigvals(monodromy(closed))
 
     def out(turn: float) -> int:
-        return int(np.sum(np.abs(poles(turn)) > 1.0 + 1e-9))
+        return int(np.sum(np.abs(poles(turn)) > 1.0 + MARGINAL))
 
     around = np.linspace(0.0, 2.0 * math.pi, 721)
     counts = [out(turn) for turn in around]
@@ -523,10 +526,10 @@ def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, tried: np.ndar
     from scipy.optimize import brentq
 
     def beyond(number: float) -> float:
-        return float(radii(np.array([number]))[0]) - (1.0 + 1e-9)
+        return float(radii(np.array([number]))[0]) - (1.0 + MARGINAL)
 
     for start in range(0, tried.size, at_once):
-        out = np.flatnonzero(radii(tried[start : start + at_once]) > 1.0 + 1e-9)
+        out = np.flatnonzero(radii(tried[start : start + at_once]) > 1.0 + MARGINAL)
         if out.size:
             place = start + int(out[0])
             low, high = float(tried[place - 1]) if place else low, float(tried[place])

@@ -31,6 +31,7 @@ from emps_design.control.discretisation import SampledPlant, law_peaks, peaks_of
 from emps_design.control.linear_plant import POSITION, VELOCITY, Felt
 from emps_design.control.margins import (
     LOOP_NAMES,
+    MARGINAL as MARGINAL,
     Margins,
     lifted,
     loop_margins,
@@ -47,7 +48,6 @@ from emps_design.units import LINEAR, Units
 if TYPE_CHECKING:
     import control
 
-MARGINAL = 1e-9  # a pole this close to the unit circle counts as on it, so that rounding decides no verdict
 SAME = 1e-9  # relative difference of the coefficients of two equal states
 OUTPUTS = ("velocity", "mean_velocity", "force", "voltage")
 _REFERENCE, _FORCE, _MORE = range(3)
@@ -364,8 +364,7 @@ def nested_loops(
     whole loop broken at the plant input 57
     """
     period, direction = axis.sampling.period, float(np.sign(velocity))
-    plant = sample_axis(axis, velocity)
-    plant = plant.delayed(delay) if delay else plant
+    plant = sample_axis(axis, velocity, delay=delay)
     whole = law_of(axis, period)
     kind = get_law(axis.controller.kind)
     loops = []

@@ -136,12 +136,13 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
         )
     at = design.structure.place(design.retuned_at or "velocity-error")
     phase = design.requested.get("phase_margin_deg", design.phase_margin_deg)
-    points, plants = span.points(), []
-    for point in points:
-        axis = loaded(design.axis, point["inertia"], point["compliance"])
-        plant = sample_axis(axis, design.velocity, design.filters)
-        plants.append(plant.delayed(point["delay"]) if point["delay"] else plant)
-    entries = []
+    points, entries = span.points(), []
+    plants = [
+        sample_axis(
+            loaded(design.axis, point["inertia"], point["compliance"]), design.velocity, design.filters, point["delay"]
+        )
+        for point in points
+    ]
     for point, plant in zip(points, plants, strict=True):
         loop = SampledVelocityLoop(plant, design.k_v1, design.t_v, design.structure)
         margins, at_input = loop.margins_at(at).to_dict(), loop.margins.to_dict()

@@ -113,6 +113,8 @@ def test_effects_that_are_not_viscous_are_named(axis):
         ({"current_filter": -5.0}, r"current filter: found -5 rad/s"),
         ({"current_factor": 3.0}, r"current factor: found 3, expected 1 \(derived\) or 2 \(printed\)"),
         ({"velocity_estimator": "kalman"}, r"velocity estimator: found 'kalman'"),
+        ({"mass": np.array([50.0, -2.0])}, r"M_a: found -2, expected more than 0"),
+        ({"filter": np.array([200.0, 0.0])}, r"filter: found 0 rad/s, expected more than 0"),
     ],
 )
 def test_impossible_laws_are_refused(plant, change, message):
