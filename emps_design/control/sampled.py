@@ -78,9 +78,15 @@ class SampledLoop:
     inputs: tuple[str, ...]
     cycle: int = 1
 
+    @property
+    def samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """A, B, C and D of the samples of a cycle, along the first axis: one of a loop of one rate."""
+        A, B, C, D = self.A, self.B, self.C, self.D
+        return (A, B, C, D) if self.cycle > 1 else (A[None], B[None], C[None], D[None])
+
     @cached_property
     def _eigenvalues(self) -> np.ndarray:
-        return np.linalg.eigvals(self.A if self.cycle == 1 else monodromy(self.A))
+        return np.linalg.eigvals(monodromy(self.samples[0]))
 
     @cached_property
     def poles(self) -> np.ndarray:
@@ -145,10 +151,8 @@ class SampledLoop:
     def simulate(self, w: np.ndarray) -> np.ndarray:
         """Outputs (k, 4) of a single loop from rest under inputs ``w`` (k, i)."""
         w = np.asarray(w, dtype=float)
-        samples = [(self.A, self.B, self.C, self.D)]
-        if self.cycle > 1:
-            samples = list(zip(self.A, self.B, self.C, self.D, strict=True))
-        size, count = self.A.shape[-1], len(samples)
+        samples = list(zip(*self.samples, strict=True))
+        size, count = self.A.shape[-1], self.cycle
         states, outputs = np.zeros((len(w) + 1, size)), np.empty((len(w), len(OUTPUTS)))
         for j, (_, B, _, _) in enumerate(samples):
             states[1:][j::count] = (B @ w[j::count, :, None])[..., 0]
@@ -167,11 +171,10 @@ class SampledLoop:
         """
         import control
 
-        matrices, inputs, outputs = (self.A, self.B, self.C, self.D), list(self.inputs), list(OUTPUTS)
+        inputs, outputs = list(self.inputs), list(OUTPUTS)
         if self.cycle > 1:
-            matrices = lifted(*matrices)
             inputs, outputs = ([f"{n}[{k}]" for k in range(self.cycle) for n in names] for names in (inputs, outputs))
-        return control.ss(*matrices, self.cycle * self.period, inputs=inputs, outputs=outputs, name="loop")
+        return control.ss(*lifted(*self.samples), self.cycle * self.period, inputs=inputs, outputs=outputs, name="loop")
 
     def to_tf(self, output: str = "mean_velocity", by: str = "force") -> control.TransferFunction:
         """The transfer function in z from the input ``by`` to ``output``."""
@@ -422,16 +425,15 @@ def position_loop(plant: SampledPlant, form: LinearLaw) -> tuple[np.ndarray, np.
     With ``reference + q`` as the reference, the reference is the position error; the law reads it once per cycle.
     """
     B, D = form.B.copy(), form.D.copy()
-    B[..., _POSITION] += B[..., _REFERENCE]
-    D[..., _POSITION] += D[..., _REFERENCE]
-    loop: SampledLoop = close(plant, replace(form, B=B, D=D), keep_position=True)
+    for columns in (B, D):
+        columns[..., _POSITION] += columns[..., _REFERENCE]
+    loop = close(plant, replace(form, B=B, D=D), keep_position=True)
     row = np.zeros(loop.A.shape[-1])
     row[: plant.C.size] = plant.C
+    A, by_inputs, C, through = loop.samples
     place = loop.inputs.index("reference")
-    if form.cycle == 1:
-        return loop.A, loop.B[:, place], row
-    A, b, _, _ = lifted(loop.A, loop.B[..., [place]], loop.C, loop.D[..., [place]])
-    return A, b[:, 0], row
+    moves, driven, _, _ = lifted(A, by_inputs[..., [place]], C, through[..., [place]])
+    return moves, driven[:, 0], row
 
 
 def safety(margins: Margins) -> float:

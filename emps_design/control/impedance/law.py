@@ -106,9 +106,9 @@ class ImpedanceLaw:
         _finite("reference velocity qd_0", self.reference_velocity)
         _finite("Coulomb factor", self.coulomb_factor, 0.0)
         for name, value in (("filter", self.filter), ("current filter", self.current_filter)):
-            bad = np.extract(~np.greater(value, 0.0), value) if value is not None else np.zeros(0)
-            if bad.size:
-                raise InputError(f"{name}: found {bad[0]:g} rad/s, expected more than 0 (inf: unfiltered)")
+            if value is not None and not (good := np.greater(value, 0.0)).all():
+                found = np.extract(~good, value)[0]
+                raise InputError(f"{name}: found {found:g} rad/s, expected more than 0 (inf: unfiltered)")
         if self.current_factor not in (DERIVED, PRINTED):
             raise InputError(f"current factor: found {self.current_factor:g}, expected 1 (derived) or 2 (printed)")
         estimator_of(self.velocity_estimator)
@@ -238,8 +238,8 @@ def law_for(axis: Axis, law: ImpedanceLaw, period: float) -> Law:
 
 
 def _finite(name: str, values: Any, lower: float = -math.inf, open_below: bool = False) -> None:
-    above = np.greater(values, lower) if open_below else np.greater_equal(values, lower)
-    for value in np.extract(~(np.isfinite(values) & above), values):
+    good = np.isfinite(values) & (np.greater(values, lower) if open_below else np.greater_equal(values, lower))
+    for value in () if good.all() else np.extract(~good, values):
         if not math.isfinite(value):
             raise InputError(f"{name}: found {value:g}, expected a finite number")
         bound = f"{'more than' if open_below else 'at least'} {lower:g}"

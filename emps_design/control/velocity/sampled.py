@@ -87,16 +87,14 @@ def step_answer(loop: SampledLoop, by: str, samples: int) -> tuple[np.ndarray, n
 
 def _step_system(loop: SampledLoop, place: int) -> tuple[np.ndarray, np.ndarray]:
     """Return by sample of a cycle the state matrix, extended by position and step, and the rows of the outputs."""
-    A, b, C, d = loop.A, loop.B[..., place], loop.C, loop.D[..., place]
-    if loop.cycle == 1:
-        A, b, C, d = A[None], b[None], C[None], d[None]
+    A, B, C, D = loop.samples
     size, mean = A.shape[-1], OUTPUTS.index("mean_velocity")
     readout = np.zeros((loop.cycle, len(OUTPUTS) + 1, size + 2))
-    readout[:, :-1, :size], readout[:, :-1, -1] = C, d
+    readout[:, :-1, :size], readout[:, :-1, -1] = C, D[..., place]
     readout[:, -1] = loop.period * readout[:, mean]
     readout[:, -1, size] = 1.0
     moves = np.zeros((loop.cycle, size + 2, size + 2))
-    moves[:, :size, :size], moves[:, :size, -1], moves[:, -1, -1] = A, b, 1.0
+    moves[:, :size, :size], moves[:, :size, -1], moves[:, -1, -1] = A, B[..., place], 1.0
     moves[:, size] = readout[:, -1]
     return moves, readout
 
