@@ -12,9 +12,9 @@ between give. Where only odd lines are excited, a nonlinearity that is even in t
 odd one, such as dry friction at reversals, at odd lines. Feedback moves the command at these lines too, so the linear
 answer to the command is subtracted first. Source: the same book, chapter 4.
 
-Broadband excitation. Long blocks resolve a resonance; in short ones a sweep stands out of the noise while it passes.
-Blocks of several lengths are tried, and the longest are taken that keep, at most frequencies, most of the information
-of the best. Short blocks also smooth the response: that bias shows as the difference to blocks of half the length.
+Broadband excitation. Long blocks resolve a resonance; in short ones a sweep stands out of the noise while it passes. So
+blocks of several lengths are answered, and the estimate takes each part of the band from one of them. Short blocks also
+smooth the response: that bias shows as the difference to blocks of half the length.
 Since it grows with the square of the line width, the longer blocks have a third of the difference. What a parabola
 between the lines misses shows as the difference to a fourth-order polynomial; what the windows of averaged spectra cut
 off, as the last of the correction terms.
@@ -24,12 +24,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.frequency_response.broadband import CLEAR, Answer, blocks, local_polynomial, welch
+from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
 from emps_design.frequency_response.signals import COMMAND, Signals, Step, quantised
 from emps_design.messages import Message, warning
 from emps_design.progress import Progress
@@ -45,8 +46,6 @@ FEWEST = 4  # lines of a kind
 
 SHORTEST_BLOCK = 2.0  # s
 LONGER = 6  # times that blocks are doubled
-KEPT = 0.5  # share of the most information that the longest blocks have to keep
-MOST = 0.8  # share of the octaves in which they do
 ALIKE = 0.5  # share of the longest part, shorter than which a part is left out
 REST = 1.0 / 3.0  # of the difference to blocks of half the length
 AVERAGED = 9  # lines over which that is averaged
@@ -255,12 +254,13 @@ class Extra:
 
     ``steps`` is the ratio of the power of the encoder's steps that repeats to what would repeat by chance; 1 where the
     steps are less than half of the noise. ``bias``, (m,) or 0, is the relative variance that averaging does not lower.
+    ``ratio`` is computed when it is called: without a period it takes as long as the answer.
     """
 
     passes: int
     periods: int
     averages: float
-    ratio: np.ndarray
+    ratio: Callable[[], np.ndarray]
     scatter: float = 1.0
     distortion: Distortion | None = None
     steps: float = 1.0
@@ -292,7 +292,8 @@ def periodic_answer(signals: list[Signals], highest: float, report_progress: Pro
     answer, ratio, scatter = _mean([stretch.at(excited) for stretch in stretches], frequency)
     distortion = distortion_of(stretches, excited, float(frequency[0] / line[0]), answer.z[:, 0] / answer.z[:, 1])
     periods = sum(stretch.periods for stretch in stretches)
-    return answer, Extra(len(stretches), periods, periods, ratio, scatter, distortion, _steps(stretches, excited))
+    repeated = _steps(stretches, excited)
+    return answer, Extra(len(stretches), periods, periods, lambda: ratio, scatter, distortion, repeated)
 
 
 def stepped_answer(signals: list[Signals], highest: float, report_progress: Progress) -> tuple[Answer, Extra]:
@@ -320,7 +321,7 @@ def stepped_answer(signals: list[Signals], highest: float, report_progress: Prog
     blocks_of = float(np.mean([sum(stretch.periods for stretch in lines[f]) for f in lines]))
     scatter = float(np.mean([scatter for _, _, scatter in means]))
     ratio = np.concatenate([ratio for _, ratio, _ in means])
-    return answer, Extra(steps, round(blocks_of), blocks_of, ratio, scatter, steps=repeated)
+    return answer, Extra(steps, round(blocks_of), blocks_of, lambda: ratio, scatter, steps=repeated)
 
 
 def _steps(stretches: list[Spectra], excited: np.ndarray) -> float:
@@ -357,10 +358,11 @@ def _mean(stretches: list[Spectra], frequency: np.ndarray) -> tuple[Answer, np.n
     return answer, ratio, scatter
 
 
-def broadband_answer(
+def broadband_answers(
     signals: list[Signals], method: str, low: float, highest: float, report_progress: Progress
-) -> tuple[Answer, Extra]:
-    """The answer to an excitation that does not repeat, by ``method`` local-polynomial or welch."""
+) -> list[tuple[Answer, Extra]]:
+    """The answers to an excitation that does not repeat, by ``method`` local-polynomial or welch, from blocks of
+    several lengths, short ones first."""
 
     def polynomial(signals: list[Signals], samples: int) -> tuple[Answer, int]:
         parts = [(record, part) for record in signals for part in blocks(record, samples)]
@@ -381,13 +383,17 @@ def broadband_answer(
 
     take = spectra if method == "welch" else polynomial
     by_length = _answers_by_length(signals, take, report_progress)
-    answers = [answer for _, answer, _ in by_length]
-    biases = [_bias(answer, *answers[max(i - 1, 0) : i]) for i, answer in enumerate(answers)]
-    at = _longest_that_keeps(answers, biases)
-    samples, answer, count = by_length[at]
-    ratio, _ = take([replace(record, r=record.u, kind=COMMAND) for record in signals], samples)
-    passes = len(signals) if method == "welch" else count
-    return answer, Extra(passes, count, count, _quotient_at(answer.frequency, ratio), bias=biases[at])
+    of_command = [replace(record, r=record.u, kind=COMMAND) for record in signals]
+
+    def ratio(samples: int, frequency: np.ndarray) -> np.ndarray:
+        return _quotient_at(frequency, take(of_command, samples)[0])
+
+    answers = []
+    for i, (samples, answer, count) in enumerate(by_length):
+        passes = len(signals) if method == "welch" else count
+        bias = _bias(answer, *(shorter for _, shorter, _ in by_length[max(i - 1, 0) : i]))
+        answers.append((answer, Extra(passes, count, count, partial(ratio, samples, answer.frequency), bias=bias)))
+    return answers[1:] or answers  # the shortest blocks serve only for comparison
 
 
 def _answers_by_length(
@@ -415,25 +421,6 @@ def _bias(answer: Answer, *shorter: Answer) -> np.ndarray:
     """Relative variance (m,) of the systematic error, from a finer interpolation and from blocks of half the length."""
     variance = np.maximum(_smooth(answer.interpolation), 0.0)
     return np.max([variance, *(REST**2 * _apart(answer, other) for other in shorter)], axis=0)
-
-
-def _longest_that_keeps(answers: list[Answer], biases: list[np.ndarray]) -> int:
-    """Index of the answer with the longest blocks that keep most of the information at most frequencies."""
-    from scipy.ndimage import uniform_filter1d
-
-    grid = min(answers, key=lambda answer: answer.frequency.size).frequency
-    information = np.empty((len(answers), grid.size))
-    for i, (answer, bias) in enumerate(zip(answers, biases, strict=True)):
-        of_noise = answer.noise[:, (0, 1), (0, 1)].real
-        clear = np.all(np.abs(answer.z) ** 2 >= CLEAR * of_noise, axis=1)
-        by_line = np.where(clear, 1.0 / np.maximum(answer.variance + bias, 1e-12), 0.0)
-        by_hertz = uniform_filter1d(by_line, AVERAGED, mode="nearest") / np.min(np.diff(answer.frequency))
-        information[i] = np.interp(grid, answer.frequency, by_hertz)
-    octaves = np.gradient(np.log(grid)) * (np.max(information, axis=0) > 0.0)
-    enough = information >= KEPT * np.max(information, axis=0)
-    keeps = enough @ octaves >= MOST * np.sum(octaves)
-    # The shortest blocks serve only for comparison.
-    return max(min(1, len(answers) - 1), *np.flatnonzero(keeps).tolist() or [int(np.argmax(enough @ octaves))])
 
 
 def _apart(answer: Answer, shorter: Answer) -> np.ndarray:

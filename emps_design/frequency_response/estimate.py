@@ -27,7 +27,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
-from emps_design.frequency_response.answers import Distortion, Extra, broadband_answer, periodic_answer, stepped_answer
+from emps_design.frequency_response.answers import Distortion, Extra, broadband_answers, periodic_answer, stepped_answer
 from emps_design.frequency_response.broadband import CLEAR, Answer
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.frequency_response.measured_plant import continuous_from_increments, without_aliases
@@ -49,6 +49,8 @@ NEIGHBOURS = np.array([-2, -1, 1, 2])
 
 METHODS = ("periodic", "stepped", "local-polynomial", "welch")
 HIGHEST_SHARE = 0.8  # of the Nyquist frequency; above it the aliases are as large as the response
+KEPT = 0.5  # share of the most information that the longest blocks have to keep
+PER_OCTAVE = 24  # frequencies at which they are compared
 WORST = 0.5  # relative deviation beyond which a line is left out
 POOLED = 9  # neighbouring lines whose noise is averaged
 REPEATED = 1.5  # power of repeated encoder steps, over that by chance, above which a warning says so
@@ -262,12 +264,12 @@ def estimate_response(
     method = _method(signals) if method == "auto" else method
     report_progress = progress or no_progress
     if method == "periodic":
-        answer, extra = periodic_answer(signals, highest, report_progress)
+        answers = [periodic_answer(signals, highest, report_progress)]
     elif method == "stepped":
-        answer, extra = stepped_answer(signals, highest, report_progress)
+        answers = [stepped_answer(signals, highest, report_progress)]
     else:
-        answer, extra = broadband_answer(signals, method, low, highest, report_progress)
-    return _estimate(several, signals, axis, answer, method, extra, low, highest)
+        answers = broadband_answers(signals, method, low, highest, report_progress)
+    return _estimate(several, signals, axis, answers, method, low, highest)
 
 
 def _check_excitation(records: list[Record], axis: Axis, instrument: str) -> None:
@@ -320,25 +322,23 @@ def _method(signals: list[Signals]) -> str:
     return "local-polynomial"
 
 
-def _estimate(
-    records: list[Record],
-    signals: list[Signals],
-    axis: Axis,
-    answer: Answer,
-    method: str,
-    extra: Extra,
-    low: float,
-    highest: float,
-) -> ResponseEstimate:
-    """The response and its deviations from the ``answer`` of the loop."""
-    period, w = records[0].period, 2.0 * np.pi * answer.frequency
-    late = axis.sampling.computation_delay * period
-    gain = axis.drive.gain
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """The lines (m,) [Hz] of an answer: the ``quotient`` of increment and command, its relative variance and coherence.
 
-    def plant(ratio: np.ndarray) -> np.ndarray:
-        return continuous_from_increments(ratio, w, period, late) / gain
+    ``kept`` (m,) is True where both stand out of their noise, within the band.
+    """
 
-    z_q, z_u, C = answer.z[:, 0], answer.z[:, 1], answer.noise
+    frequency: np.ndarray
+    quotient: np.ndarray
+    variance: np.ndarray
+    coherence: np.ndarray
+    kept: np.ndarray
+
+
+def _lines(answer: Answer, extra: Extra, method: str, low: float, highest: float) -> Lines:
+    """The lines of ``answer`` with all of their variance, those from ``low`` to ``highest`` [Hz] to be kept."""
+    f, z_q, z_u = answer.frequency, answer.z[:, 0], answer.z[:, 1]
     variance, freedom = answer.variance, answer.freedom
     if method != "stepped":  # its lines are far apart, each with its own amplitude
         variance = _pooled(variance, np.abs(z_q / z_u))
@@ -346,39 +346,98 @@ def _estimate(
     variance = variance * max(1.0, extra.scatter) * _for_few(freedom)
     power = answer.weight * _near(np.abs(z_q) ** 2, np.median)
     if extra.distortion is not None:
-        variance = variance + extra.distortion.odd_variance(answer.frequency, power)
+        variance = variance + extra.distortion.odd_variance(f, power)
     coherence = 1.0 / (1.0 + variance * extra.averages)
     variance = variance + extra.bias
+    of_q, of_u = answer.noise[:, 0, 0].real, answer.noise[:, 1, 1].real
     if method != "stepped":
-        variance = np.maximum(variance, excess_variance(answer.frequency, z_q / z_u, variance, power, APART[method]))
-    std = np.sqrt(variance)
-    of_q, of_u = C[:, 0, 0].real, C[:, 1, 1].real
-    if method != "stepped":
+        variance = np.maximum(variance, excess_variance(f, z_q / z_u, variance, power, APART[method]))
         of_q, of_u = _near(of_q, np.mean), _near(of_u, np.mean)
     quiet = np.finfo(float).tiny  # noise of a command that is the excitation
     above = np.minimum(*(np.abs(z) ** 2 / np.maximum(of, quiet) for z, of in ((z_q, of_q), (z_u, of_u))))
     if method != "stepped":  # selection by a line's own answer would bias the response upwards
         above = _near(above, np.median)
-    clear = above >= CLEAR
-    kept = clear & (std <= WORST) & (answer.frequency >= low) & (answer.frequency <= highest * (1.0 + 1e-9))
+    kept = (above >= CLEAR) & (np.sqrt(variance) <= WORST) & (f >= low) & (f <= highest * (1.0 + 1e-9))
+    return Lines(f, z_q / z_u, variance, coherence, kept)
+
+
+def longest_blocks(lengths: Sequence[Lines]) -> list[np.ndarray]:
+    """Masks (m,) of the lines of each of ``lengths``, from short blocks to long ones, that make up the response.
+
+    At each frequency the longest blocks are taken that keep :data:`KEPT` of the most information per hertz, one over
+    variance and distance of the lines; changes back and forth within a third of an octave are smoothed out.
+
+    >>> short, long, kept = np.arange(1.0, 100.0), 0.5 * np.arange(1.0, 100.0), np.ones(99, bool)
+    >>> lengths = [Lines(f, f, np.full(99, v), f, kept) for f, v in ((short, 0.01), (long, 0.03))]
+    >>> [f[mask][[0, -1]].tolist() for f, mask in zip((short, long), longest_blocks(lengths))]
+    [[49.0, 99.0], [0.5, 48.5]]
+    """
+    from scipy.ndimage import median_filter
+
+    kept = np.concatenate([lines.frequency[lines.kept] for lines in lengths])
+    if len(lengths) == 1 or not kept.size:
+        return [np.full(lines.kept.size, lines is lengths[-1]) for lines in lengths]
+    octave = np.log2(np.min(kept)), np.log2(np.max(kept))
+    grid = np.linspace(*octave, 2 + int(PER_OCTAVE * (octave[1] - octave[0])))
+    information = np.zeros((len(lengths), grid.size))
+    for lines, row in zip(lengths, information, strict=True):
+        per_hertz = lines.kept / np.maximum(lines.variance, 1e-12) / np.gradient(lines.frequency)
+        row[:] = np.interp(grid, np.log2(lines.frequency), per_hertz, 0.0, 0.0)
+    enough = information >= KEPT * np.max(information, axis=0)
+    longest = len(lengths) - 1 - np.argmax(enough[::-1], axis=0)
+    longest = median_filter(longest, PER_OCTAVE // 3 | 1, mode="nearest")
+    nearest = [np.interp(np.log2(lines.frequency), grid, np.arange(grid.size)) for lines in lengths]
+    return [longest[np.rint(place).astype(int)] == i for i, place in enumerate(nearest)]
+
+
+def _estimate(
+    records: list[Record],
+    signals: list[Signals],
+    axis: Axis,
+    answers: list[tuple[Answer, Extra]],
+    method: str,
+    low: float,
+    highest: float,
+) -> ResponseEstimate:
+    """The response and its deviations from the ``answers`` of the loop, from short blocks to long ones."""
+    lengths = [_lines(answer, extra, method, low, highest) for answer, extra in answers]
+    masks = longest_blocks(lengths)
+    parts = [(lines, extra, mask & lines.kept) for lines, (_, extra), mask in zip(lengths, answers, masks, strict=True)]
+    count, most = (sum(map(np.count_nonzero, several)) for several in ([kept for *_, kept in parts], masks))
     name = ", ".join(record.name for record in records)
-    if np.count_nonzero(kept) < 4:
+    if count < 4:
         raise RecordError(
-            f"{name}: found {np.count_nonzero(kept)} of {kept.size} lines on which the {signals[0].kind} stands out of "
+            f"{name}: found {count} of {most} lines on which the {signals[0].kind} stands out of "
             "the noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"
         )
-    corrected, aliases = without_aliases(w[kept], plant(z_q / z_u)[kept], std[kept], period)
-    response = FrequencyResponse(answer.frequency[kept], corrected, np.hypot(std[kept], aliases), coherence[kept], name)
+    parts = [part for part in parts if np.any(part[2])]
+    columns = [
+        [column[kept] for column in (lines.frequency, lines.quotient, lines.variance, lines.coherence, extra.ratio())]
+        for lines, extra, kept in parts
+    ]
+    order = np.argsort(np.concatenate([part[0] for part in columns]))
+    frequency, quotient, variance, coherence, ratio = (
+        np.concatenate(column)[order] for column in zip(*columns, strict=True)
+    )
+    extra = parts[-1][1]
+    period, w, std = records[0].period, 2.0 * np.pi * frequency, np.sqrt(variance)
+    late, gain = axis.sampling.computation_delay * period, axis.drive.gain
+
+    def plant(ratio: np.ndarray) -> np.ndarray:
+        return continuous_from_increments(ratio, w, period, late) / gain
+
+    corrected, aliases = without_aliases(w, plant(quotient), std, period)
+    response = FrequencyResponse(frequency, corrected, np.hypot(std, aliases), coherence, name)
     motions = [motion(run) for run in signals]
     reversals = int(sum(run["reversals"] for run in motions))
     seconds = sum(run["seconds"] for run in motions)
     rest = sum(run["rest_share"] * run["seconds"] for run in motions) / seconds
-    left_out = int(np.count_nonzero(~kept))
+    left_out = int(most - count)
     return ResponseEstimate(
         response,
         method,
         signals[0].kind,
-        plant(extra.ratio)[kept],
+        plant(ratio),
         extra.distortion,
         resonances(response),
         extra.passes,

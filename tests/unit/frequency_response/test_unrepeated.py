@@ -6,6 +6,7 @@ from scipy.signal import butter, chirp, lfilter
 
 from emps_design.errors import RecordError
 from emps_design.frequency_response import estimate_response
+from emps_design.frequency_response.estimate import Lines, longest_blocks
 from emps_design.frequency_response.response import BAND
 from emps_design.machines import machine
 from tests.studies import quick
@@ -47,6 +48,29 @@ def test_a_sweep(method):
     mass, std, _ = chain.parameters["mass"]
     assert chain.masses.size == 1
     assert abs(mass - axis.mechanics.mass) < 3.5 * std < 1.0
+
+
+def lines_of(frequency, variance, kept):
+    """Lines of which only what decides between block lengths is given."""
+    return Lines(frequency, frequency, np.broadcast_to(variance, frequency.shape), frequency, kept)
+
+
+def test_each_part_of_a_band_is_of_the_longest_blocks_that_serve_it():
+    """Blocks twice as long have twice the variance a line at the same information; above 100 Hz theirs is noise."""
+    short, long = np.arange(2.0, 250.0), np.arange(4.0, 500.0) / 2.0
+    parts = [lines_of(short, 0.01, short < 240.0), lines_of(long, 0.02, long < 100.0)]
+    below, above = (part.frequency[mask] for part, mask in zip(parts[::-1], longest_blocks(parts)[::-1], strict=True))
+    assert (below[0], above[-1]) == (2.0, 249.0)
+    assert 96.0 < below[-1] < above[0] < 104.0
+    assert np.all(np.diff(above) == 1.0)
+    # With less than half of the information nowhere; where that is so on a few lines only, everywhere.
+    parts[1] = lines_of(long, np.where(np.abs(long - 40.0) < 1.0, 1.0, 0.03), long < 1e3)
+    assert [np.count_nonzero(mask) for mask in longest_blocks(parts)] == [0, long.size]
+    parts = [lines_of(short, 0.01, short < 1e3), lines_of(long, 0.05, long <= 249.0)]
+    assert [np.count_nonzero(mask) for mask in longest_blocks(parts)] == [short.size, 0]
+    # Without any line the longest stand for all.
+    nothing = [lines_of(part.frequency, 0.01, part.frequency < 0.0) for part in parts]
+    assert [np.count_nonzero(mask) for mask in longest_blocks(nothing)] == [0, long.size]
 
 
 def test_random_excitation_resolves_a_slow_resonance():
