@@ -23,15 +23,12 @@ import numpy as np
 
 from emps_design.errors import RecordError
 from emps_design.records import Record
+from emps_design.records.record import quantisation_step
 from emps_design.stretches import stretches
 
 HARMONICS = 64  # of the sawtooth
 OFFSETS = 16  # positions of the carriage within a step that are averaged
 NEAR = 9  # neighbouring lines over which the powers are averaged
-WHOLE_STEPS = 0.05  # of a step, largest distance of an increment from whole steps
-MOST = 0.01  # share of the increments that may be further off
-CANDIDATE_STEPS = 24  # distances between increments that are tried as the step
-MOST_INCREMENTS = 1 << 16  # increments
 CLEAR = 10.0  # times the power of steps that all repeat, above which a line is motion
 TINY = 1e-3  # share of the noise below which quantisation is neglected
 
@@ -66,33 +63,6 @@ def repeated_share(advance: np.ndarray | float, periods: int) -> np.ndarray:
     turn = turn - np.rint(turn)
     same = (np.sinc(periods * turn) / np.sinc(turn)) ** 2
     return np.sum(same / m**2, axis=-1) / np.sum(1.0 / m**2)
-
-
-def encoder_step(dq: np.ndarray) -> float:
-    """The encoder step [m] of which all increments ``dq`` (n,) are multiples, 0 for none.
-
-    >>> steps = np.random.default_rng(0).integers(-40, 40, 200)
-    >>> round(encoder_step(2.5e-6 * steps + 1e-12) * 1e6, 6), encoder_step(np.sin(np.arange(99.0)))
-    (2.5, 0.0)
-    """
-    some = dq[:: -(-dq.size // MOST_INCREMENTS)]
-    away = some - np.quantile(some, 0.5, method="nearest")
-    values = np.unique(away)
-    gaps = np.unique(np.diff(values))
-    gaps = gaps[gaps > 1e-9 * np.max(np.abs(away), initial=0.0)]
-    if not gaps.size:
-        return 0.0
-    tried = np.unique(np.quantile(gaps, np.linspace(0.0, 1.0, CANDIDATE_STEPS), method="nearest"))[::-1]
-    for step in map(float, tried):
-        for most in (2.0, 8.0, 32.0, 128.0, np.inf):  # small multiples first refine an inexact step
-            near = away[np.abs(away) < most * step]
-            whole = np.rint(near / step)
-            if np.any(whole):
-                step = float(whole @ near / (whole @ whole))
-        whole = np.rint(away / step)
-        if np.mean(whole != 0.0) > MOST > np.mean(np.abs(away / step - whole) > WHOLE_STEPS):
-            return abs(step)
-    return 0.0
 
 
 def quantised(
@@ -283,7 +253,7 @@ class Signals:
     @cached_property
     def step(self) -> float:
         """The step of the encoder [m] that the increments show; 0 for none."""
-        return encoder_step(self.dq)
+        return quantisation_step(self.dq)
 
     @property
     def used(self) -> np.ndarray:

@@ -26,9 +26,6 @@ from emps_design.records.readers import read_titles
 from emps_design.units import COMMANDS, MOTIONS, Units
 from emps_design.view import Line, Table, View, Viewed, sparkline
 
-FEW_STEPS = 20.5  # of an encoder: largest increment that is fitted
-SMALLEST = (20, 5, 0)  # ranks of the smallest increments that are tried as the step: a few may be disturbed
-ON_GRID = 0.1  # of a step, largest mean distance of increments from whole steps
 ALIKE = 1.25  # largest ratio of the measured encoder step to that of the axis file, or its inverse
 
 HEADINGS = ("column in the file", "unit", "is", "lowest", "highest", "unit", "found")
@@ -65,7 +62,7 @@ class Account(Viewed):
     @property
     def encoder_step(self) -> float | None:
         """Encoder step of the recorded position [m or rad], None where it has none."""
-        return step_of_record(self.record)
+        return self.record.encoder_step
 
     @property
     def notes(self) -> tuple[Message, ...]:
@@ -170,42 +167,6 @@ class Account(Viewed):
         }
 
 
-def step_of_record(record: Record) -> float | None:
-    """Encoder step [m or rad] of the position of ``record``; None without one, or without a position of its own."""
-    if record.assigned and all(assignment.name != "q" for assignment in record.assigned):
-        return None
-    return encoder_step(record.q if record.measured is None else record.measured["q"])
-
-
-def encoder_step(q: np.ndarray) -> float | None:
-    """The step of which every increment of ``q`` (n,) is a multiple, in the unit of ``q``; None without one.
-
-    >>> import numpy as np
-    >>> t = np.arange(4000) / 1000
-    >>> round(encoder_step(np.round(np.sin(t) / 1e-4) * 1e-4), 9), encoder_step(np.sin(t))
-    (0.0001, None)
-    """
-    increments = np.abs(np.diff(q))
-    largest = float(increments.max(initial=0.0))
-    increments = increments[increments > 1e-9 * largest]
-    if increments.size < 50:
-        return None
-    increments.sort()
-    candidates = (_grid(increments, float(increments[place])) for place in SMALLEST)
-    return next((step for step in candidates if step is not None), None)
-
-
-def _grid(increments: np.ndarray, step: float) -> float | None:
-    """The ``step``, refined, of which the smaller ``increments`` are multiples; None where they are not."""
-    for _ in range(2):
-        few = increments[increments < FEW_STEPS * step]
-        steps = np.round(few / step)
-        if np.mean(np.abs(few / step - steps)) > ON_GRID or not np.any(steps):
-            return None
-        step = float(np.sum(few * steps) / np.sum(steps**2))
-    return step
-
-
 def record_table(
     assigned: Sequence[Assignment], absent: Mapping[str, Column] = MappingProxyType({}), accept: Sequence[str] = ()
 ) -> str:
@@ -252,7 +213,7 @@ class Trace:
     @property
     def encoder_step(self) -> float | None:
         """Encoder step [m or rad] of the position, None without one or where its unit is a guess."""
-        return None if "q" in self.guessed else None if self.record is None else step_of_record(self.record)
+        return None if self.record is None or "q" in self.guessed else self.record.encoder_step
 
     @property
     def limit(self) -> float | None:

@@ -24,16 +24,17 @@ from pathlib import Path
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.importing.sanity import check_against, check_motion, odd_increments, step_of
+from emps_design.importing.sanity import BEYOND_LIMIT, COARSER, check_against, check_motion, odd_increments
 from emps_design.laws import NONE, Law, law_of
 from emps_design.messages import wrong
 from emps_design.records import MAX_BYTES, MAX_BYTES_TO_CUT, Record, read_record, record_from_bytes
+from emps_design.records.check import AT_LIMIT
 from emps_design.records.clock import same_period
 from emps_design.records.layout import Layout
+from emps_design.records.record import quantisation_step
 
 START_UP = 0.1  # s, after which the state of the law before the first sample no longer matters
 FEWEST_AT_START = 8  # samples
-AT_LIMIT, BEYOND_LIMIT = 0.98, 1.02  # of the limit, between which a sample is at it
 SETTLING = 0.015  # s after the limit, until filters no longer show the integrator
 AROUND = 3  # samples beside one with the motor switched off
 PHASES, PHASE_LOOK = 16, 6000  # most phases of a slower loop that are tried, on so many samples
@@ -60,7 +61,6 @@ ALONE = 12.0  # deviations of the noise, beyond which a sample is an outlier
 ALONE_VISIBLE = 0.02  # of the command's deviation, rms over the record
 COARSE, OF_A_STEP = 0.1, 0.2  # of the command's deviation: steps that hide what the law gives; rms that they leave
 LOUD = 0.2  # of the command's deviation
-COARSER = 1.25  # times the encoder's step: a position that was rounded once more
 
 BLOCK = 500_000  # samples that are checked together, to save memory
 MEANS = "what is found from this record may be wrong by more than it says"
@@ -195,7 +195,7 @@ def _explanations(replay: LawReplay, unit: str) -> Iterator[str]:
     """Explanations that fit, simplest first, and "" for those that do not."""
     record, used, gap = replay.record, replay.used, replay.gap
     yield odd_increments(record)
-    step, rms = step_of(record.u), float(np.sqrt(np.mean(gap[used] ** 2)))
+    step, rms = quantisation_step(np.diff(record.u)), float(np.sqrt(np.mean(gap[used] ** 2)))
     if rms < HALF_A_STEP * step:
         yield f"the command is recorded in steps of {step:.4g} {unit}".rstrip()
     u, wanted = record.u[used], replay.wanted[used]
@@ -350,7 +350,7 @@ def _contradicts(axis: Axis, replay: LawReplay) -> bool | None:
     if not swing > 0.0:
         return False
     noise = _noise(gap, replay.used)
-    step = step_of(replay.record.u)
+    step = quantisation_step(np.diff(replay.record.u))
     sizes = _sizes(replay, gap, noise)
     if step > COARSE * swing and sizes[2] > OF_A_STEP * step:
         return True
@@ -381,14 +381,14 @@ def _rounded(axis: Axis, replay: LawReplay) -> np.ndarray | None:
     """Effect of the rounding of reference and position on the law (n,); None at the encoder's own resolution."""
     record, law = replay.record, replay.law
     own = axis.sampling.encoder_resolution
-    q_step = step_of(record.q)
+    q_step = quantisation_step(np.diff(record.q))
     if own and q_step < COARSER * own:
         q_step = 0.0
     if np.array_equal(record.q, record.q.astype(np.float32)):
         q_step = max(q_step, _single(record.q))
     if not q_step:
         return None
-    r_step = max(step_of(record.q_ref), _single(record.q_ref))  # both were rounded alike
+    r_step = max(quantisation_step(np.diff(record.q_ref)), _single(record.q_ref))  # both were rounded alike
     random = np.random.default_rng(0)
     r, q = (step * random.uniform(-0.5, 0.5, len(record)) for step in (r_step, q_step))
     still = np.flatnonzero(np.diff(record.q, prepend=np.nan) == 0.0)

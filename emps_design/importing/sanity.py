@@ -23,12 +23,12 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
-from emps_design.importing.account import encoder_step
 from emps_design.messages import Message, warning
 from emps_design.records import Record
+from emps_design.records.clock import same_period
 from emps_design.records.layout import NAMED, Doubt
+from emps_design.records.record import quantisation_step
 
-ON_THE_CLOCK = 1e-3  # of the axis's period
 WEAK_LOOP = 20.0  # largest ratio of position to reference under any controller, or of reference to position
 STIFF = 0.999  # least correlation of position and reference of a loop that follows
 FOLLOWS = (0.5, 2.0)  # ratio of position to reference of such a loop
@@ -109,7 +109,7 @@ def check_against(axis: Axis, record: Record, source: str) -> Record:
 
 def _clock(axis: Axis, record: Record) -> Doubts:
     ratio = record.period / axis.sampling.period
-    if abs(ratio - 1.0) < ON_THE_CLOCK:
+    if same_period(record.period, axis.sampling.period):
         return
     period = f"found a sampling period of {1e3 * record.period:.6g} ms"
     expected = f"the axis's {1e3 * axis.sampling.period:.6g} ms"
@@ -288,11 +288,6 @@ def _confusion(ratio: float) -> str:
     return next((words for factor, words in NAMES.items() if abs(size / factor - 1.0) < 0.03), "")
 
 
-def step_of(values: np.ndarray) -> float:
-    """The step of which the increments of ``values`` (n,) are multiples, 0 without one."""
-    return encoder_step(values) or 0.0
-
-
 def held(q: np.ndarray) -> np.ndarray:
     """Samples (n,) bool at which the position ``q`` (n,) stands still in full motion.
 
@@ -400,7 +395,7 @@ def _faults(axis: Axis, record: Record) -> Iterator[str]:
     if message := odd_increments(record):
         yield message
     yield from _spike(axis, record)
-    step = step_of(u)
+    step = quantisation_step(np.diff(u))
     changes = np.abs(np.diff(u)) / step if step else np.zeros(0)
     changes = changes[changes > 0.5]
     smooth = changes.size > 0 and np.mean(changes < 1.5) > NEXT and np.ptp(u) > (LEVELS - 0.5) * step
@@ -458,7 +453,7 @@ def _held_share(record: Record, step: float) -> float:
 def _exchanged_in_motion(axis: Axis, record: Record) -> Iterator[str]:
     if not (record.q_ref_recorded and np.ptp(record.q_ref)):
         return
-    rounded, encoder = step_of(record.q), axis.sampling.encoder_resolution
+    rounded, encoder = quantisation_step(np.diff(record.q)), axis.sampling.encoder_resolution
     if rounded > COARSER * encoder:  # the residual of the position is then its rounding
         return
     if correlation(record.q, record.q_ref) < ALIKE:

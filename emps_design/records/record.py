@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,6 +24,11 @@ from emps_design.view import Line, Table, View, Viewed
 MEASURED = "measured."  # prefix, in an archive, of the signals before they were resampled
 
 BRIDGE = 1.0  # s from one record to the next
+
+WHOLE_STEPS = 0.05  # of a step, largest distance of an increment from whole steps
+MOST = 0.01  # share of the increments that may be further off
+CANDIDATE_STEPS = 24  # distances between increments that are tried as the step
+MOST_INCREMENTS = 1 << 16  # increments
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,18 @@ class Record(Viewed):
     def has_reference(self) -> bool:
         """Whether a reference of position or velocity was recorded."""
         return self.q_ref_recorded or self.velocity_reference is not None
+
+    @cached_property
+    def encoder_step(self) -> float | None:
+        """Step of the encoder [m or rad] that the position shows; None without one, or without a position of its own.
+
+        >>> sine = np.sin(np.arange(99))
+        >>> round(Record.from_arrays(1e-3, np.zeros(99), 2e-6 * np.rint(40.0 * sine), sine).encoder_step, 12)
+        2e-06
+        """
+        if self.assigned and all(assignment.name != "q" for assignment in self.assigned):
+            return None
+        return quantisation_step(np.diff(self.q if self.measured is None else self.measured["q"])) or None
 
     @property
     def in_gap(self) -> np.ndarray:
@@ -271,3 +289,31 @@ def _between(before: np.ndarray, after: np.ndarray, count: int) -> np.ndarray:
     first, last = (count + 1) * float(before[-1] - before[-2]), (count + 1) * float(after[1] - after[0])
     rise = x * x * (3.0 - 2.0 * x)
     return start + (stop - start) * rise + first * x * (1.0 - x) ** 2 - last * x * x * (1.0 - x)
+
+
+def quantisation_step(increments: np.ndarray) -> float:
+    """The step of which all ``increments`` (n,) of a signal are multiples, in its unit; 0 for none.
+
+    The distances between increments are tried: of a motion at many steps a sample no increment is the step itself.
+
+    >>> steps = np.random.default_rng(0).integers(-40, 40, 200)
+    >>> round(quantisation_step(2.5e-6 * steps + 1e-12) * 1e6, 6), quantisation_step(np.sin(np.arange(99.0)))
+    (2.5, 0.0)
+    """
+    some = increments[:: -(-increments.size // MOST_INCREMENTS)]
+    away = some - np.quantile(some, 0.5, method="nearest")
+    gaps = np.unique(np.diff(np.unique(away)))
+    gaps = gaps[gaps > 1e-9 * np.max(np.abs(away), initial=0.0)]
+    if not gaps.size:
+        return 0.0
+    tried = np.unique(np.quantile(gaps, np.linspace(0.0, 1.0, CANDIDATE_STEPS), method="nearest"))[::-1]
+    for step in map(float, tried):
+        for most in (2.0, 8.0, 32.0, 128.0, np.inf):  # small multiples first refine an inexact step
+            near = away[np.abs(away) < most * step]
+            whole = np.rint(near / step)
+            if np.any(whole):
+                step = float(whole @ near / (whole @ whole))
+        whole = np.rint(away / step)
+        if np.mean(whole != 0.0) > MOST > np.mean(np.abs(away / step - whole) > WHOLE_STEPS):
+            return abs(step)
+    return 0.0

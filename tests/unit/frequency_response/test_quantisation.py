@@ -5,7 +5,8 @@ import pytest
 
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.response import BAND
-from emps_design.frequency_response.signals import encoder_step, quantised, repeated_share
+from emps_design.frequency_response.signals import quantised, repeated_share
+from emps_design.records.record import quantisation_step
 from tests.unit.frequency_response.cases import exact, experiment, multi_sine, two_mass
 
 SAMPLES, PERIODS = 1000, 4
@@ -24,14 +25,17 @@ def test_the_step_is_found_whatever_digits_a_file_has(step, form):
     rng = np.random.default_rng(1)
     q = step * np.rint(motion(9000.3, 40.0, rng))
     written = np.array([float(form % value) for value in q])
-    assert encoder_step(np.diff(written, prepend=written[:1])) == pytest.approx(step, rel=1e-3)
+    assert quantisation_step(np.diff(written, prepend=written[:1])) == pytest.approx(step, rel=1e-3)
 
 
 def test_no_step_where_there_is_none():
     rng = np.random.default_rng(2)
-    assert encoder_step(np.diff(motion(9000.3, 40.0, rng), prepend=0.0)) == 0.0
-    assert encoder_step(1e-4 + 3e-7 * rng.standard_normal(5000)) == 0.0
-    assert encoder_step(np.full(100, 0.1)) == 0.0
+    assert quantisation_step(np.diff(motion(9000.3, 40.0, rng), prepend=0.0)) == 0.0
+    assert quantisation_step(1e-4 + 3e-7 * rng.standard_normal(5000)) == 0.0
+    assert quantisation_step(np.full(100, 0.1)) == 0.0
+    assert quantisation_step(np.zeros(100)) == 0.0
+    noise = 1e-5 * rng.standard_normal(5000)
+    assert quantisation_step(np.diff(np.sin(np.arange(5000) / 1000) + noise)) == 0.0
 
 
 @pytest.mark.parametrize(("advance", "least", "most"), [(10_000.0, 3.0, 4.6), (9618.4, 0.2, 1.0), (9000.5, 0.7, 1.7)])

@@ -11,7 +11,7 @@ from emps_design.axis import Axis
 from emps_design.cli import app
 from emps_design.errors import RecordError
 from emps_design.importing import import_bytes, import_record
-from emps_design.importing.account import Account, encoder_step, record_table
+from emps_design.importing.account import Account, record_table
 from emps_design.machines import machine
 from emps_design.records.layout import Assignment
 from emps_design.simulation.synthetic import synthetic_record
@@ -221,12 +221,6 @@ def test_another_encoder_is_noted(axis, columns):
 def test_a_plain_record_is_taken_at_its_word(axis, columns):
     content = trace({**columns, "t": 1e-3 * columns["t"]}, ("t", "q [mm]", "q_ref [mm]", "u"), u=-columns["u"])
     assert import_bytes(content, "a.csv", machine("emps2019")).u[5] == pytest.approx(-columns["u"][5], abs=1e-6)
-
-
-def test_no_step_is_seen_where_there_is_none():
-    t = np.arange(5000) / 1000
-    assert encoder_step(np.sin(t) + 1e-5 * np.random.default_rng(0).standard_normal(t.size)) is None
-    assert encoder_step(np.zeros(100)) is None
 
 
 SCALED = {
