@@ -31,6 +31,7 @@ import numpy as np
 
 from emps_design.errors import RecordError
 from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
+from emps_design.frequency_response.response import neighbours
 from emps_design.frequency_response.signals import COMMAND, Signals, Step, quantised
 from emps_design.messages import Message, warning
 from emps_design.progress import Progress
@@ -182,8 +183,7 @@ class Distortion:
         from scipy.ndimage import median_filter
 
         half = 4
-        near = np.clip(np.arange(self.odd_lines.size)[:, None] + np.arange(-half, half + 1), 0, self.odd_lines.size - 1)
-        smooth = np.maximum(np.mean(self.odd_power[near], axis=1), 0.0)
+        smooth = np.maximum(np.mean(self.odd_power[neighbours(self.odd_lines.size, half)], axis=1), 0.0)
         usual = median_filter(power, 2 * half + 1, mode="nearest")
         return np.interp(frequency, self.odd_lines, smooth) * np.maximum(usual / power, 1.0)
 

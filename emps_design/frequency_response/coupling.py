@@ -28,7 +28,7 @@ from emps_design.control.linear_plant import VELOCITY, linear_plant
 from emps_design.control.margins import transfer
 from emps_design.effects.two_mass import linear_coupling
 from emps_design.errors import InputError
-from emps_design.frequency_response.response import BAND, FrequencyResponse, resonances, turning_delay
+from emps_design.frequency_response.response import BAND, FrequencyResponse, neighbours, resonances, turning_delay
 from emps_design.messages import Message, warning
 from emps_design.stretches import stretches
 from emps_design.units import LINEAR, Units
@@ -365,8 +365,7 @@ def _expected(std: np.ndarray) -> np.ndarray:
     The relative deviation of a line that is too large by chance is too small; with that weight the masses would come
     out too small.
     """
-    near = np.clip(np.arange(std.size)[:, None] + np.arange(-NEAR, NEAR + 1), 0, std.size - 1)
-    return np.clip(np.median(std[near], axis=1), std / ALIKE, std * ALIKE)
+    return np.clip(np.median(std[neighbours(std.size, NEAR)], axis=1), std / ALIKE, std * ALIKE)
 
 
 def _criterion(chain: MassChain, lines: int) -> float:

@@ -31,7 +31,14 @@ from emps_design.frequency_response.answers import Distortion, Extra, broadband_
 from emps_design.frequency_response.broadband import CLEAR, Answer
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.frequency_response.measured_plant import continuous_from_increments, without_aliases
-from emps_design.frequency_response.response import BAND, FrequencyResponse, Resonance, has_wrong_sign, resonances
+from emps_design.frequency_response.response import (
+    BAND,
+    FrequencyResponse,
+    Resonance,
+    has_wrong_sign,
+    neighbours,
+    resonances,
+)
 from emps_design.frequency_response.signals import COMMAND, EXCITATION, REFERENCE, Signals, motion, signals_of
 from emps_design.laws import NONE
 from emps_design.messages import Message, note, warning, wrong
@@ -460,8 +467,7 @@ def _pooled(variance: np.ndarray, size: np.ndarray) -> np.ndarray:
     Noise at the input makes a smooth relative variance; noise at the output, such as the encoder's, one proportional
     to 1/``size``^2 of the response. The likelier of the two is taken for each line.
     """
-    half = POOLED // 2
-    near = np.clip(np.arange(variance.size)[:, None] + np.arange(-half, half + 1), 0, variance.size - 1)
+    near = neighbours(variance.size, POOLED // 2)
     power = size**2
     as_input, as_output = np.mean(variance[near], axis=1), np.mean((variance * power)[near], axis=1)
     with np.errstate(divide="ignore"):
@@ -471,9 +477,7 @@ def _pooled(variance: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 def _near(power: np.ndarray, kind: Callable[..., np.ndarray]) -> np.ndarray:
     """``kind``, the mean or the median, of ``power`` (n,) over neighbouring lines."""
-    half = min(POOLED // 2, (power.size - 1) // 2)
-    near = np.clip(np.arange(power.size)[:, None] + np.arange(-half, half + 1), 0, power.size - 1)
-    return kind(power[near], axis=1)
+    return kind(power[neighbours(power.size, min(POOLED // 2, (power.size - 1) // 2))], axis=1)
 
 
 def _for_few(freedom: float) -> float:

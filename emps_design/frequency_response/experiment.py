@@ -28,6 +28,7 @@ from emps_design.control.discretisation import sample_axis
 from emps_design.control.sampled import axis_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.files import write_aside
+from emps_design.frequency_response.estimate import HIGHEST_SHARE
 from emps_design.frequency_response.signals import repeated_share
 from emps_design.frequency_response.waves import (
     BLOCKS,
@@ -51,7 +52,6 @@ ROOM = 0.9  # share of a limit that is used
 TRIES = 12
 SHRINKS, STEP = 0.98, 0.5  # factors on an excitation that exceeds a limit: beside the linear estimate, and without one
 
-HIGHEST_SHARE = 0.8  # of the Nyquist frequency
 TURNING = 0.8  # share of the steady speed that the excitation may take
 STEEPEST = 10.0  # largest excitation over command: below the crossover the controller opposes the excitation
 SLOWER = 0.5  # largest relative reduction of the speed that keeps the encoder's steps from repeating

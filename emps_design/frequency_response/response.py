@@ -281,6 +281,15 @@ def _of_frd(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]
     }
 
 
+def neighbours(count: int, reach: int) -> np.ndarray:
+    """Indices (n, 2 ``reach`` + 1) of each of ``count`` lines and those beside it; beyond an end the line there.
+
+    >>> neighbours(3, 1).tolist()
+    [[0, 0, 1], [0, 1, 2], [1, 2, 2]]
+    """
+    return np.clip(np.arange(count)[:, None] + np.arange(-reach, reach + 1), 0, count - 1)
+
+
 def turning_delay(response: FrequencyResponse) -> float:
     """Return the delay [s] with which a mass would have the phase slope of ``response``.
 
