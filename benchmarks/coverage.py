@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.coverage_axes import CASES, FIRST_SEED, QUIET, Case, Records
 from emps_design.axis import Axis
-from emps_design.cli.output import progress_bar
+from emps_design.cli.output import Terminal
 from emps_design.errors import EmpsError
 from emps_design.files import write_text
 from emps_design.identification import identify
@@ -54,7 +54,7 @@ def main(table: str, cases: tuple[Case, ...]) -> None:
         held = {name: np.zeros(len(PARAMETERS)) for name, _ in COUNTED}
         plain = {name: np.zeros(len(PARAMETERS)) for name, _ in COUNTED}
         done = dict.fromkeys(held, 0)
-        with progress_bar() as progress:
+        with Terminal().progress() as progress:
             for run in range(RUNS):
                 progress(f"{case.name}, {RUNS} records", run / RUNS)
                 record, found = records(FIRST_SEED + run), {}

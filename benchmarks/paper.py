@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from benchmarks.table_2 import sweep
-from emps_design.cli.output import progress_bar
+from emps_design.cli.output import Terminal
 from emps_design.files import write_text
 from emps_design.paper.virtual_bench import PRINTED
 
@@ -19,7 +19,7 @@ EXPERIMENTS = 10
 
 def main() -> None:
     """Sweep, print, and write the file."""
-    with progress_bar() as progress:
+    with Terminal().progress() as progress:
         outcomes = sweep(experiments=EXPERIMENTS, progress=progress)
     table = PRINTED["table_2"]
     printed = {

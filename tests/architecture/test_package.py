@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -74,3 +75,19 @@ def test_documents_import_nothing_deeper_than_a_room():
         lines = [line.strip() for line in page.read_text(encoding="utf-8").splitlines()]
         used = [line.split()[1] for line in lines if line.startswith(("from emps_design", "import emps_design"))]
         assert [name for name in used if name.count(".") > 1] == [], page.name
+
+
+def test_benchmarks_import_what_is_there():
+    """They run seldom, and no other test loads all of them."""
+    needed = set()
+    for script in sorted(REPOSITORY.glob("benchmarks/*.py")):
+        nodes = ast.walk(ast.parse(script.read_text(encoding="utf-8")))
+        froms = [node for node in nodes if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("emps")]
+        needed |= {(script.name, node.module, alias.name) for node in froms for alias in node.names}
+    assert len(needed) > 50
+    missing = [
+        (script, module, name)
+        for script, module, name in sorted(needed)
+        if not hasattr(importlib.import_module(module), name) and not find_spec(f"{module}.{name}")
+    ]
+    assert missing == []
