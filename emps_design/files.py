@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
 import platform
 import re
@@ -13,6 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from emps_design.errors import EmpsError, InputError
 
@@ -130,6 +132,18 @@ def read_bytes(path: str | Path, most: int, expected: str) -> bytes:
     if len(content) > most:
         raise InputError(f"{path}: found more than {most / 1e6:g} MB; {expected}")
     return content
+
+
+def read_json(path: str | Path, most: int, expected: str) -> Any:
+    """Return the JSON document in the file at ``path``, of at most ``most`` bytes.
+
+    Raises :class:`InputError` that ends with ``expected`` where the file cannot be read or is no JSON.
+    """
+    text = read_bytes(path, most, expected)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not JSON, {expected}") from error
 
 
 def write_text(path: str | Path, text: str) -> None:

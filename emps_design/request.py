@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from emps_design.errors import InputError, nearest_name
 from emps_design.progress import Progress, no_progress
@@ -87,6 +87,7 @@ class Request:
     sources: Mapping[str, Any] = field(default_factory=dict, kw_only=True, repr=False, compare=False)
     progress: Progress = field(default=no_progress, kw_only=True, repr=False, compare=False)
     overwrite: bool = field(default=False, kw_only=True, repr=False, compare=False)
+    overwrites: ClassVar[bool] = False  # whether it checks ``overwrite`` itself, beside options that are written
 
     def __post_init__(self) -> None:
         axis = getattr(self, "axis", None)

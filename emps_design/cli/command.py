@@ -42,7 +42,7 @@ def register_command(app: typer.Typer, name: str, terminal: Terminal) -> None:
     parameters = [
         _parameter(entry, hints[entry.name]) for entry in options_of(kind) if not entry.metadata[OPTION].hidden
     ]
-    writes = any(entry.metadata[OPTION].writes for entry in options_of(kind))
+    writes = kind.overwrites or any(entry.metadata[OPTION].writes for entry in options_of(kind))
     flags = {"force": ("--force", OVERWRITE)} if writes else {}
     parameters += [
         inspect.Parameter(

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import AXIS, JSON, make_folder
-from emps_design.commands.options import axis_argument
 from emps_design.errors import InputError
+from emps_design.inputs import axis_argument
 from emps_design.request import Request, option
 
 if TYPE_CHECKING:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
-from emps_design.commands.destinations import ARCHIVE, OVERWRITE, PAGE, check_out
+from emps_design.commands.destinations import ARCHIVE, PAGE, check_out
 from emps_design.errors import InputError
 from emps_design.request import Request, option
 from emps_design.view import Line, Table, View
@@ -26,7 +26,7 @@ class DemoRequest(Request):
 
     out: Path = option(Path("emps-design-demo.html"), "HTML report; the record goes beside it")
     seed: int = option(0, "seed of the noise in the record", limits=(0, None))
-    force: bool = option(False, OVERWRITE)
+    overwrites: ClassVar[bool] = True
 
     @property
     def record(self) -> Path:
@@ -35,10 +35,10 @@ class DemoRequest(Request):
 
     def check_files(self) -> None:
         """Refuse a page and a record of one name, and files that hold something else."""
-        check_out(self.out, PAGE, (), self.force, "`out`")
+        check_out(self.out, PAGE, (), self.overwrite, "`out`")
         if self.out == self.record:
             raise InputError(f"`out`: found {self.out.name!r}, expected a name for a page; the record takes that one")
-        check_out(self.record, ARCHIVE, (), self.force, "`out`")
+        check_out(self.record, ARCHIVE, (), self.overwrite, "`out`")
 
 
 def answer(request: DemoRequest) -> Reply:

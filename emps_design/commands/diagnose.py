@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import AXIS, JSON, PAGE, TABLE, make_folder
-from emps_design.commands.options import axis_option
 from emps_design.discrepancy.request import DiagnosisRequest
 from emps_design.errors import EmpsError, InputError, one_line
 from emps_design.files import write_aside, write_text, write_together
+from emps_design.inputs import axis_option
 from emps_design.interrupts import interrupted, on_interrupt
 from emps_design.progress import Progress
 from emps_design.request import option

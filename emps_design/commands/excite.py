@@ -8,8 +8,8 @@ from pathlib import Path
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import TABLE
-from emps_design.commands.options import axis_argument
 from emps_design.frequency_response.waves import ExcitationRequest
+from emps_design.inputs import axis_argument
 from emps_design.request import Request, option
 from emps_design.view import Line
 

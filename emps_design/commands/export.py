@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
@@ -14,14 +13,13 @@ from emps_design.commands.destinations import (
     AXIS,
     CODE,
     JSON,
-    OVERWRITE,
     TABLE,
     check_folder,
     make_folder,
 )
-from emps_design.commands.options import axis_argument
 from emps_design.errors import InputError
-from emps_design.files import read_bytes
+from emps_design.files import read_json
+from emps_design.inputs import axis_argument
 from emps_design.request import HERTZ, Request, option
 from emps_design.view import Line
 
@@ -45,7 +43,7 @@ class ExportRequest(Request):
     observer: float | None = option(
         None, "the on-line force observer with this low-pass [Hz], in place of the controller", **HERTZ
     )
-    force: bool = option(False, OVERWRITE)
+    overwrites: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,7 +52,7 @@ class ExportRequest(Request):
 
     def check_folder(self, kinds: dict[str, str]) -> None:
         """Refuse a folder that cannot be made, or that holds other files than ``kinds``, by their names."""
-        check_folder(self.out, kinds, (self.sources.get("axis"), self.compensation), self.force)
+        check_folder(self.out, kinds, (self.sources.get("axis"), self.compensation), self.overwrite)
 
 
 def answer(request: ExportRequest) -> Reply:
@@ -84,12 +82,7 @@ def _exported(request: ExportRequest) -> Exported:
 def _read(path: Path) -> dict[str, Any]:
     """Read the JSON document of a compensation; the library checks its content."""
     expected = "expected the compensation.json of 'compensate --out'"
-    try:
-        document = json.loads(read_bytes(path, MAX_BYTES, expected))
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON, {expected}") from error
+    document = read_json(path, MAX_BYTES, expected)
     if not isinstance(document, dict):
         raise InputError(f"{path}: found {type(document).__name__}, {expected}")
     return document

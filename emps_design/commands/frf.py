@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import MATLAB, PICTURES, TABLE
-from emps_design.commands.options import axis_option, read_record
 from emps_design.frequency_response.estimate import METHODS
 from emps_design.frequency_response.signals import INSTRUMENTS
+from emps_design.inputs import axis_option, read_record
 from emps_design.request import HERTZ, Request, option
 
 if TYPE_CHECKING:

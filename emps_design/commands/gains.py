@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from emps_design.commands.options import (
 )
 from emps_design.control.view import gains_view
 from emps_design.errors import InputError
-from emps_design.files import read_bytes
+from emps_design.files import read_json
 from emps_design.messages import note
 from emps_design.request import option
 
@@ -216,12 +215,7 @@ def _errors(request: GainsRequest) -> dict[str, float] | None:
     if mismatch is not None:
         return relative_mismatch(mismatch)
     assert sigma_from is not None
-    try:
-        document = json.loads(read_bytes(sigma_from, MAX_BYTES, "expected the JSON of 'identify --json'"))
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{sigma_from}: not JSON, expected what 'identify --json' prints") from error
+    document = read_json(sigma_from, MAX_BYTES, "expected what 'identify --json' prints")
     parameters = document.get("parameters") if isinstance(document, dict) else None
     if not isinstance(parameters, dict) or not all(isinstance(entry, dict) for entry in parameters.values()):
         raise InputError(f"{sigma_from}: no 'parameters' table, expected what 'identify --json' prints")

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import AXIS
-from emps_design.commands.options import axis_option, read_record, write_axis
+from emps_design.commands.options import write_axis
 from emps_design.errors import EmpsError, InputError, one_line
 from emps_design.identification.result import AUTO, BY_LEAST_SQUARES, HOLDOUT, IdentificationRequest
+from emps_design.inputs import axis_option, read_record
 from emps_design.records import Record
 from emps_design.request import Request, option, options_of
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
-from emps_design.commands.options import RAD_S, axis_argument
+from emps_design.commands.options import RAD_S
 from emps_design.errors import InputError
+from emps_design.inputs import axis_argument
 from emps_design.request import Request, option
 
 

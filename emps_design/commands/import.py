@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ARCHIVE, PAGE, PICTURES, TABLE
-from emps_design.commands.options import axis_option
 from emps_design.errors import InputError
+from emps_design.inputs import axis_option
 from emps_design.request import Request, option
 from emps_design.view import Line
 

@@ -6,14 +6,15 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder, make_folder
-from emps_design.commands.options import LOOKING, axis_option
+from emps_design.commands.options import LOOKING
 from emps_design.errors import InputError
 from emps_design.files import write_text, write_together
+from emps_design.inputs import axis_option
 from emps_design.messages import warning
 from emps_design.request import Request, option
 from emps_design.view import Line
@@ -59,7 +60,7 @@ class InitRequest(Request):
     )
     machine: Axis = axis_option("embedded machine or axis file to copy")
     seed: int = option(0, "seed of the noise in the record", limits=(0, None))
-    force: bool = option(False, "overwrite files of the same names")
+    overwrites: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,9 +74,9 @@ class InitRequest(Request):
         folder = self.directory or Path(".")
         check_folder(folder, files, (source,), force=True)
         taken = [name for name in files if (folder / name).exists()]
-        if taken and not self.force:
+        if taken and not self.overwrite:
             exist = f"{', '.join(taken)} exist{'s' if len(taken) == 1 else ''}"
-            raise InputError(f"{folder}: {exist} already; choose another folder, or give `force`")
+            raise InputError(f"{folder}: {exist} already; choose another folder, or give `overwrite`")
         return folder
 
 

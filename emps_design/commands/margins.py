@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
-from emps_design.commands.options import LoadRangeRequest, axis_argument
+from emps_design.commands.options import LoadRangeRequest
+from emps_design.inputs import axis_argument
 from emps_design.request import option
 
 

@@ -11,9 +11,10 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import TABLE
-from emps_design.commands.options import HERTZ, axis_option, read_record
+from emps_design.commands.options import HERTZ
 from emps_design.errors import InputError
 from emps_design.files import write_aside
+from emps_design.inputs import axis_option, read_record
 from emps_design.progress import no_progress
 from emps_design.records import Record
 from emps_design.request import Request, option

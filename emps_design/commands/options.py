@@ -17,6 +17,7 @@ from emps_design.commands.destinations import AXIS
 from emps_design.control.velocity.gains import FILTER_TEXTS, NO_FILTER, filter_from_text
 from emps_design.errors import InputError
 from emps_design.files import write_text
+from emps_design.inputs import axis_argument
 from emps_design.laws.estimators import NUMBERS
 from emps_design.request import HERTZ as HERTZ, RAD_S as RAD_S, RATIO as RATIO, Request, option
 
@@ -25,30 +26,6 @@ if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.velocity.gains import Structure
     from emps_design.control.velocity.load_range import LoadRange
-
-
-def read_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:
-    """The axis of that name or file."""
-    from emps_design.machines import load_axis
-
-    return load_axis(name_or_path)
-
-
-def read_record(path: str | Path, axis: Axis) -> Any:
-    """The record at ``path``, read as ``axis`` says."""
-    from emps_design.importing import import_record
-
-    return import_record(Path(path), axis)
-
-
-def axis_argument(default: Any, help: str = "TOML file or embedded machine") -> Any:
-    """The axis as the argument of a command."""
-    return option(default, help, argument=True, typed=str, read=read_axis)
-
-
-def axis_option(help: str, default: str = "emps2019") -> Any:
-    """The axis as an option of a command that takes records."""
-    return option(default, help, typed=str, read=read_axis)
 
 
 def _ends(text: str) -> tuple[float, float]:

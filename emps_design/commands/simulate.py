@@ -11,8 +11,8 @@ from typing import Any
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ARCHIVE, PICTURES, TABLE
-from emps_design.commands.options import read_axis, read_record
 from emps_design.errors import InputError
+from emps_design.inputs import read_axis, read_record
 from emps_design.request import Request, option
 from emps_design.units import LINEAR
 

@@ -10,7 +10,7 @@ from typing import Any
 from emps_design.axis import Axis
 from emps_design.effects import Effect
 from emps_design.errors import InputError
-from emps_design.machines import load_axis
+from emps_design.inputs import read_axis, read_record
 from emps_design.records import Record
 from emps_design.request import Request, option
 
@@ -32,12 +32,6 @@ def interval_from_text(text: str) -> Interval:
     return start, stop
 
 
-def _record(path: str | Path, axis: Axis) -> Record:
-    from emps_design.importing import import_record
-
-    return import_record(Path(path), axis)
-
-
 INTERVAL: dict[str, Any] = {"parse": interval_from_text, "typed": str | None}
 
 
@@ -55,14 +49,14 @@ class DiagnosisRequest(Request):
         argument=True,
         metavar="RECORD...",
         typed=list[Path],
-        read=_record,
+        read=read_record,
     )
-    axis: Axis = option(..., "axis file or embedded machine", typed=str, read=lambda name, axis: load_axis(name))
+    axis: Axis = option(..., "axis file or embedded machine", typed=str, read=read_axis)
     holdout: Record | None = option(
         None,
         "a record to confirm on, opened once, at the end; by default a part of RECORD",
         typed=Path | None,
-        read=_record,
+        read=read_record,
     )
     fit_time: Interval | None = option(None, "fit on this interval only [s]", metavar="A:B", **INTERVAL)
     confirm_time: Interval | None = option(None, "confirm on this interval [s]", metavar="C:D", **INTERVAL)

@@ -9,8 +9,8 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.errors import InputError
+from emps_design.inputs import read_axis
 from emps_design.laws import NONE, get_law
-from emps_design.machines import load_axis
 from emps_design.request import RAD_S, Request, option
 
 MODELS = ("symmetric", "asymmetric")  # of friction
@@ -28,7 +28,7 @@ class ReportRequest(Request):
         "TOML file or embedded machine; default emps2018, emps2019 with a record",
         argument=True,
         typed=str | None,
-        read=lambda name, axis: load_axis(name),
+        read=read_axis,
     )
     record: Any = option(None, "record to identify: .mat, .csv or .npz", typed=Path | None)
     crossover: float | None = option(None, "crossover w_v of T_vo [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
@@ -74,7 +74,7 @@ class ReportRequest(Request):
     @cached_property
     def machine(self) -> Axis:
         """The axis, or the embedded machine that is the default."""
-        return load_axis(self.default_name) if self.axis is None else self.axis
+        return read_axis(self.default_name) if self.axis is None else self.axis
 
     @property
     def default_name(self) -> str:

@@ -9,8 +9,8 @@ from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
-from emps_design.commands.options import axis_argument, read_record
 from emps_design.errors import InputError
+from emps_design.inputs import axis_argument, read_record
 from emps_design.request import Request, option
 from emps_design.view import Line
 

@@ -1,0 +1,40 @@
+"""What commands read: axes and records, by one reader each, and the fields of a request that take an axis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from emps_design.request import option
+
+if TYPE_CHECKING:
+    from emps_design.axis import Axis
+    from emps_design.records import Record
+
+
+def read_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:
+    """The axis of that name or file; no other ``axis`` is needed to read it.
+
+    >>> read_axis("emps2018").name
+    'emps2018'
+    """
+    from emps_design.machines import load_axis
+
+    return load_axis(name_or_path)
+
+
+def read_record(path: str | Path, axis: Axis) -> Record:
+    """The record at ``path``, read as ``axis`` says."""
+    from emps_design.importing import import_record
+
+    return import_record(Path(path), axis)
+
+
+def axis_argument(default: Any, help: str = "TOML file or embedded machine") -> Any:
+    """The axis as the argument of a command."""
+    return option(default, help, argument=True, typed=str, read=read_axis)
+
+
+def axis_option(help: str, default: str = "emps2019") -> Any:
+    """The axis as an option of a command that takes records."""
+    return option(default, help, typed=str, read=read_axis)
