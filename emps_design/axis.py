@@ -498,16 +498,16 @@ class Axis(Viewed, AxisTable):
         """Every key of the axis file with its value and unit."""
         kind, unit = self.controller.kind, self.units.unit
         rows = [
-            (name, ".".join(path), _in_words(value), unit(unit_of(field_in((name, *path), kind))))
+            (".".join((name, *path)), _in_words(value), unit(unit_of(field_in((name, *path), kind))))
             for name in TABLES
             for path, value in leaves(getattr(self, name).model_dump(exclude_none=True))
         ]
         rows += [
-            (effect.kind, parameter.name, _in_words(effect.parameters[parameter.name]), unit(parameter.unit))
+            (f"{effect.kind}.{parameter.name}", _in_words(effect.parameters[parameter.name]), unit(parameter.unit))
             for effect in self.effects
             for parameter in effect.effect.parameters
         ]
-        return (Table(("table", "key", "value", "unit"), rows, self.name, words=("key", "unit")),)
+        return (Table(("key", "value", "unit"), rows, self.name),)
 
     def _commented(self, text: str) -> str:
         """``text`` with a comment, description and unit, after each line that sets a key."""

@@ -1,16 +1,16 @@
 """What a reader is to see of a result: lines and tables in their order, as data.
 
-One description is rendered as text for the terminal and ``str``, and as HTML for a page and a notebook. A view is made
-in the units and words of its axis; a renderer changes no text.
+One description is rendered as text for the terminal and ``str``, and as HTML for a page, a notebook and a pane of the
+studio. A view is made in the units and words of its axis; a renderer changes no text, but HTML has the signs ± and →.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from html import escape, unescape
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any
 
 from emps_design.errors import printable
@@ -20,9 +20,13 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table as RichTable
 
+LINES = ("", "good", "warning", "bad", "note", "point", "strong", "prose", "code")  # styles of a line
 STYLES = {"good": "bold green", "bad": "bold red", "strong": "bold"}  # of a line on a terminal
 WHOLE = ("good", "bad", "code")  # styles of a line that is not wrapped
+MARKS = {"note": "note: ", "point": "- "}  # before a line of a list on a terminal
 BLOCKS = "▁▂▃▄▅▆▇█"
+ALERT = ' role="alert"'  # of a verdict that a screen reader is to read at once
+NUMBER = re.compile(r"[−+<≤>≥ -]*[0-9]|—$|-$")  # at the start of a cell with a number
 Cell = Any  # text, a number or None
 
 
@@ -34,21 +38,27 @@ class Html(str):
 
 @dataclass(frozen=True)
 class Line:
-    """A line of text; ``style`` is "" or one of "good" and "bad" for a verdict, "strong", "prose" and "code".
+    """A line of text; ``style`` is "", or "good", "warning" and "bad" for a verdict, "strong", "prose" and "code".
 
-    A terminal wraps it at words, but a verdict and code, which stand as they are; a file has it in one line, but prose.
+    Lines of the styles "note", a warning to read with the numbers, and "point" are lists where they follow one another.
+    A terminal wraps a line at words, but a verdict and code, which stand as they are; a file has it in one line, but
+    prose.
     """
 
     text: str
     style: str = ""
+
+    def __post_init__(self) -> None:
+        if self.style not in LINES:
+            raise ValueError(f"style of a line: found {self.style!r}, expected one of {', '.join(LINES)}")
 
 
 @dataclass(frozen=True)
 class Table:
     """Rows under headings, with a title; a number has four significant digits, None is ``missing``.
 
-    ``words`` are the headings of columns of text, aligned left as the first one is; the others are aligned right.
-    With ``row_headings`` the first cell of a row is a heading, as HTML. Headings that are all empty are not shown.
+    ``words`` are the headings of columns of text, aligned left as the first one is; the others are aligned right. The
+    first cell of a row is its heading. Headings that are all empty are not shown.
     """
 
     headings: Sequence[str]
@@ -56,8 +66,6 @@ class Table:
     title: str = ""
     words: Sequence[str] = ("unit",)
     missing: str = "-"
-    row_headings: bool = False
-    kind: str = field(default="table", init=False)
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -121,7 +129,8 @@ def show(console: Console, part: Line | Table, wrap: bool = True) -> None:
 
     if isinstance(part, Line):
         whole = part.style in WHOLE or not (wrap or part.style == "prose")
-        console.print(Text(printable(part.text), STYLES.get(part.style, "")), soft_wrap=whole)
+        written = f"{MARKS.get(part.style, '')}{_plain(part.text)}"
+        console.print(Text(written, STYLES.get(part.style, "")), soft_wrap=whole)
     else:
         table = _rich(part)
         if console.measure(table, options=console.options.update(width=10_000)).maximum > console.width:
@@ -176,35 +185,60 @@ def _plain(text: str) -> str:
     return printable(unescape(re.sub(r"<[^<>]*>", "", text)) if isinstance(text, Html) else text)
 
 
-def html(view: View) -> str:
-    """``view`` as HTML, for a page or a notebook.
+def html(parts: Iterable[Any], other: Callable[[Any], str] | None = None) -> str:
+    """``parts`` of a view as HTML, for a page, a notebook or a pane; ``other`` renders each that is no line.
 
     >>> html((Line("stable", "good"), Table(("", "value"), [("gain <", 2.0)], "Loop")))  # doctest: +ELLIPSIS
     '<p class="good">stable</p>\\n<table><caption>Loop</caption><thead><tr><th></th><th>value</th></tr></thead>...'
+    >>> html((Line("late", "note"), Line("slow", "note")))
+    '<ul class="note">\\n<li>late</li>\\n<li>slow</li>\\n</ul>'
     """
-    return "\n".join(_paragraph(part) if isinstance(part, Line) else _table(part) for part in view)
+    written: list[str] = []
+    for style, group in groupby(parts, lambda part: part.style if isinstance(part, Line) else None):
+        if style is None:
+            written += map(other or table_html, group)
+            continue
+        texts = [
+            escape(printable(line.text), quote=False) if style == "code" else _escaped(line.text) for line in group
+        ]
+        if style in MARKS:
+            items = "".join(f"<li>{text}</li>\n" for text in texts)
+            written.append(f'<ul class="{style}">\n{items}</ul>')
+        elif style == "code":
+            lines = "\n".join(texts)
+            written.append(f"<pre>{lines}</pre>")
+        else:
+            about = f' class="{style}"' if style else ""
+            written += [f"<p{about}{ALERT * (style == 'bad')}>{text}</p>" for text in texts]
+    return "\n".join(written)
 
 
-def _paragraph(line: Line) -> str:
-    style = f' class="{line.style}"' if line.style else ""
-    return f"<p{style}>{_escaped(line.text)}</p>"
+def typeset(text: str) -> str:
+    """``text`` with the signs of a page in place of those of a terminal.
+
+    >>> typeset("7.4 +- 0.6 N; 1.6 N -> 0.4 N")
+    '7.4 ± 0.6 N; 1.6 N → 0.4 N'
+    """
+    return text.replace("+-", "±").replace("->", "→")
 
 
-def _escaped(text: str) -> str:
-    return str(text) if isinstance(text, Html) else escape(printable(text))
+def _escaped(text: str, code: bool = False) -> str:
+    if isinstance(text, Html):
+        return str(text)
+    return escape(printable(text) if code else typeset(printable(text)), quote=False)
 
 
-def _table(table: Table) -> str:
-    numeric = [place > 0 and heading not in table.words for place, heading in enumerate(table.headings)]
+def table_html(table: Table, counted: str = "") -> str:
+    """``table`` as HTML, with ``counted``, such as Table 2, before its title; numbers have the class number."""
 
-    def row(cells: Sequence[str], headings: int) -> str:
-        """A row whose first cells are ``headings``."""
-        tags = ["th" if place < headings else "td" for place in range(len(cells))]
-        style = [' class="number"' * (number and tag == "td") for tag, number in zip(tags, numeric, strict=True)]
-        written = zip(tags, style, map(_escaped, cells), strict=True)
-        return f"<tr>{''.join(f'<{tag}{look}>{cell}</{tag}>' for tag, look, cell in written)}</tr>"
+    def cell(text: str, heading: bool) -> str:
+        tag, look = ("th", "") if heading else ("td", ' class="number"' * bool(NUMBER.match(text)))
+        return f"<{tag}{look}>{_escaped(text)}</{tag}>"
 
-    caption = f"<caption>{_escaped(table.title)}</caption>" if table.title else ""
-    head = f"<thead>{row(table.headings, len(table.headings))}</thead>" if any(table.headings) else ""
-    body = "".join(row(cells, int(table.row_headings)) for cells in table.texts())
+    title = f"<b>{counted}.</b> {_escaped(table.title)}" if counted else _escaped(table.title)
+    caption = f"<caption>{title}</caption>" if table.title else ""
+    head = "".join(cell(text, heading=True) for text in table.headings)
+    head = f"<thead><tr>{head}</tr></thead>" if any(table.headings) else ""
+    rows = ("".join(cell(text, place == 0) for place, text in enumerate(row)) for row in table.texts())
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
     return f"<table>{caption}{head}<tbody>{body}</tbody></table>"

@@ -65,6 +65,7 @@ from emps_design.control.impedance.robustness import (
     worst_radius,
 )
 from emps_design.control.sampled import MARGINAL, NestedLoop, worst_loop
+from emps_design.control.view import number
 from emps_design.errors import SpecificationError
 from emps_design.laws.friction_model import PARAMETERS, left_out
 from emps_design.messages import Message, grave, note, warning
@@ -469,16 +470,20 @@ def assess_impedance(
 
 
 def _parts(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
-    """The verdict first, then the law, what is felt, and the mismatch, of the ``document`` of an assessment."""
+    """The verdict first, then the law, what is felt and implemented, and the mismatch, of an assessment's document."""
     sampled, study = document["sampled"], document.get("mismatch")
     name, _, why = document["headline"].partition(": ")
-    yield Line(f"{name if document['verdict'] in CALM else name.upper()}: {why}")
+    calm, swings = document["verdict"] in CALM, document["verdict"] in ("unstable", "limit_cycle")
+    yield Line(f"{name if calm else name.upper()}: {why}", "good" if calm else "bad" if swings else "warning")
     yield Line(f"{document['axis']}: impedance law {law_in_words(document['law'], units)}")
     yield Line(f"exact estimates: poles of the sampled loop {'stable' if sampled['stable'] else 'UNSTABLE'}")
     released, simulated = (_spaced(sampled[key]) for key in ("verdict", "simulated"))
     yield Line(f"released: {released}; simulated with encoder and limit: {simulated}")
     yield _felt(document, units)
-    if study is not None:
+    yield _as_implemented(document, units)
+    if study is None:
+        yield Line("errors of the estimates were not tried")
+    else:
         yield from _under_mismatch(study, units)
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
@@ -487,9 +492,9 @@ def _parts(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
         yield Line(f"equivalent cascaded loop, {stable} when sampled ({_spaced(loop['criterion'])}): {gain}")
         for warning in loop["warnings"]:
             if warning not in document["warnings"]:
-                yield Line(f"- {warning}")
+                yield Line(warning, "note")
     for warning in document["warnings"]:
-        yield Line(f"- {warning}")
+        yield Line(warning, "note")
 
 
 def _felt(document: dict[str, Any], units: Units) -> Table:
@@ -502,8 +507,46 @@ def _felt(document: dict[str, Any], units: Units) -> Table:
     places = {"derived": "derived", "(30) as printed": "printed"}
     if document["law"]["force_sensor"]:
         places = {f"(28), measured {units.word('force')}": "felt"}
-    rows = [(label, *(_three_digits(document[place][key]) for key in columns)) for label, place in places.items()]
+    rows = [
+        (label, *(number(document[place][key], nothing="undefined") for key in columns))
+        for label, place in places.items()
+    ]
     return Table(("", *map(units.label, columns.values())), rows, "Felt, with an ideal current loop")
+
+
+def _as_implemented(document: dict[str, Any], units: Units) -> Table:
+    """Poles, energy, walls and the force to break away of the sampled law."""
+    sampled, contact, wall = document["sampled"], document["passivity"], document["largest_wall_stiffness"]
+    largest = max((abs(complex(pole)) for pole in sampled["poles"]), default=None)
+    bands = contact["sampled"]["active_bands"] if contact else []
+    active = [f"from {low:.4g}" if high is None else f"{low:.4g} to {high:.4g}" for low, high in bands]
+    stiffness = units.unit("N/mm")
+    rows = [
+        ("largest pole, sliding", number(largest, 5), ""),
+        ("gain of the recursion in its own current", number(sampled["recursion_gain"]), ""),
+        (f"{units.word('force')} to break away, at rest", number(document["break_away"]), units.unit("N")),
+        (
+            f"smallest safe apparent {units.word('mass')}",
+            number(document["smallest_safe_mass"], nothing="undefined"),
+            units.unit("kg"),
+        ),
+        ("takes energy from the hand", ", ".join(active) or "nowhere", "rad/s"),
+        *(
+            (
+                f"stiffest wall, {'exact estimates' if name == 'exact' else 'worst corner'}, pushed with "
+                f"{units.quantity(limit['push'], 'N', '.3g')}",
+                number(limit["simulated"] / 1e3),
+                stiffness,
+            )
+            for name, limit in document["wall_limit"].items()
+        ),
+        (
+            "stiffest undamped wall, by the poles",
+            number(wall / 1e3) if wall is not None else "unbounded" if contact else "undefined",
+            stiffness,
+        ),
+    ]
+    return Table(("", "value", "unit"), rows, "As implemented, sampled")
 
 
 def _under_mismatch(study: dict[str, Any], units: Units) -> Iterator[Line | Table]:
@@ -512,8 +555,6 @@ def _under_mismatch(study: dict[str, Any], units: Units) -> Iterator[Line | Tabl
     creep, free = (1e3 * factor * study[key] for key in ("creep_speed", "creep_speed_exact_encoder"))
     ended = f" (the encoder ends one of {free:.3g})" if free > creep else ""
     coulomb = study["coulomb_factor_without_creep"]
-    low, high = study["stable_share_interval"]
-    interval = "" if math.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
     worst = study["worst"]
     errors = ", ".join(f"{units.words(name)} {100 * value:+.2f} %" for name, value in worst["errors"].items())
     heading = f"+-{100 * study['mismatch']:g} %"
@@ -521,16 +562,48 @@ def _under_mismatch(study: dict[str, Any], units: Units) -> Iterator[Line | Tabl
         (f"creep speed, {speed}", "unbounded" if math.isinf(creep) else f"{creep:.3f}{ended}"),
         (f"dead band, {units.unit('N')}", f"{study['dead_band']:.4g}"),
         ("Coulomb factor without creep", "none" if coulomb is None else f"{coulomb:.4f}"),
-        ("plants that come to rest", f"{100 * study['stable_share']:.2f} %{interval}"),
-        ("neither unstable nor cycling", f"{100 * study['bounded_share']:.2f} %"),
+        ("plants that come to rest", _share(study, "stable_share")),
+        ("neither unstable nor cycling", _share(study, "bounded_share")),
+        ("largest pole over the corners", number(study["largest_pole"], 5)),
     ]
     verdicts = ", ".join(f"{count} {_spaced(name)}" for name, count in study["verdicts"].items() if count)
     yield Table(("mismatch", heading), rows, words=(heading,))
     beyond = [(case["what"], _spaced(case["verdict"])) for case in study["beyond"]]
     if beyond:
         yield Table(("the corners, with", "worst verdict"), beyond, words=("worst verdict",))
+    yield from _spread(study["ranges"], units)
     yield Line(f"verdicts: {verdicts}")
     yield Line(f"worst: {_spaced(worst['verdict'])} at {errors}")
+
+
+def _share(study: dict[str, Any], name: str) -> str:
+    """A share of the plants with its interval, where it has one."""
+    low, high = study[f"{name}_interval"]
+    interval = "" if math.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
+    return f"{100 * study[name]:.2f} %{interval}"
+
+
+def _spread(ranges: dict[str, Any], units: Units) -> Iterator[Table]:
+    """What the random plants do: transparency, command and effort."""
+    bases = {
+        "apparent_mass": "kg",
+        "apparent_damping": "N/(m/s)",
+        "r2": "",
+        "peak_voltage": "V",
+        "rms_force": "N",
+        "work": "J",
+    }
+    rows = [
+        (
+            f"r2 of {units.word('force')} on motion" if name == "r2" else units.words(_spaced(name)),
+            *(number(ranges[name][key], nothing="-") for key in ("low", "median", "high")),
+            units.unit(base),
+        )
+        for name, base in bases.items()
+        if name in ranges
+    ]
+    if rows:
+        yield Table(("", "5 %", "median", "95 %", "unit"), rows, "The random plants")
 
 
 def law_in_words(law: dict[str, Any], units: Units) -> str:
@@ -553,14 +626,3 @@ def law_in_words(law: dict[str, Any], units: Units) -> str:
 
 def _spaced(name: str) -> str:
     return name.replace("_", " ")
-
-
-def _three_digits(value: float | None) -> str:
-    """``value`` with three significant digits, or with one decimal from 100 on.
-
-    >>> _three_digits(0.15), _three_digits(235.82), _three_digits(73.777), _three_digits(None)
-    ('0.15', '235.8', '73.8', 'undefined')
-    """
-    if value is None:
-        return "undefined"
-    return f"{value:.1f}" if abs(value) >= 100.0 else f"{value:.3g}"

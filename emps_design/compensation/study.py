@@ -119,8 +119,7 @@ class Compensation(Viewed):
         """The tracking error of each term, of all together, and advice on what feedback can do."""
         headings = ("term", "alone", "all but it", "all, it wrong", "")
         rows = [
-            (term.name.replace("_", " "), term.alone, term.left_out, term.worst, "" if term.kept else "left out")
-            for term in self.terms
+            (term.name.replace("_", " "), term.alone, term.left_out, term.worst, _remark(term)) for term in self.terms
         ]
         title = f"tracking error, rms [{self.unit}], axis {self.axis.name}"
         totals = [
@@ -137,6 +136,10 @@ class Compensation(Viewed):
             *([Line(f"{ON_ERROR.capitalize()}.")] if self.feedforward.terms else []),
             *(Line(cure["advice"]) for cure in self.feedback),
         )
+
+
+def _remark(term: TermResult) -> str:
+    return term.note if term.kept else f"left out: {term.note}"
 
 
 def digest_of(axis: Axis) -> str:

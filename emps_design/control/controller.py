@@ -200,7 +200,7 @@ class ControllerMargins(Viewed):
             _side_by_side(loops, "Sampled, as the drive runs it"),
             _side_by_side(continuous, "Continuous, with every lag of the axis"),
             *([self._on_every_machine(list(loops))] if self.others else []),
-            *(Line(f"- {warning}") for warning in self.warnings),
+            *(Line(warning, "note") for warning in self.warnings),
         )
 
     def _on_every_machine(self, names: list[str]) -> Table:

@@ -6,7 +6,7 @@ responses with their 95 % bands, and the force loop around it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from emps_design.advice.advice import where_in_words
@@ -22,6 +22,10 @@ MEASURED: tuple[Row, ...] = (
     ("disk margin", "disk_margin", "", 1.0),
     ("largest sensitivity, below", "sensitivity_peak_below", "ratio", 1.0),
     ("largest sensitivity, above", "sensitivity_peak_above", "ratio", 1.0),
+)
+CLOSED: tuple[Row, ...] = (
+    ("bandwidth, -3 dB", "bandwidth", "rad/s", 1.0),
+    ("", "bandwidth", "Hz", 1.0 / HERTZ),
 )
 UNDER_MISMATCH: tuple[Row, ...] = (
     ("phase margin", "phase_margin_deg", "deg", 1.0),
@@ -47,9 +51,9 @@ def gains_view(document: dict[str, Any], units: Units) -> View:
         verdict_line(document["stable"], what_is_judged(document)),
         Line(worst_in_words(document["worst_loop"], units)),
         _gains(document, units),
-        _margins(document),
+        *_margins(document),
         *_notes(document, units),
-        *(_mismatch(document["mismatch"], units) if "mismatch" in document else ()),
+        *(mismatch_view(document["mismatch"], units) if "mismatch" in document else ()),
         Line("difference equation, every sample:"),
         *(Line(f"    {line}", "code") for line in document["difference_equation"]["lines"]),
         *([Line(f"axis file with this controller: {document['out']}", "code")] if "out" in document else []),
@@ -67,7 +71,7 @@ def velocity_loop_view(document: dict[str, Any], units: Units) -> View:
     return (
         verdict_line(document["sampled"]["stable"], what_is_judged(document)),
         _gains(document, units),
-        _margins(document),
+        *_margins(document),
         *warning_lines(document["warnings"]),
     )
 
@@ -79,17 +83,17 @@ def verdict_line(stable: bool, what: str) -> Line:
 
 def warning_lines(warnings: list[str]) -> list[Line]:
     """The warnings of a document, a line each."""
-    return [Line(f"note: {warning}") for warning in warnings]
+    return [Line(warning, "note") for warning in warnings]
 
 
 def _gains(document: dict[str, Any], units: Units) -> Table:
     ideal = {} if document["retuned"] else document["requested"]
     rows: list[tuple[Cell, ...]] = [
-        (label, number(document[key], 6), units.unit(unit), "")
-        for label, key, unit in (
-            ("k_v1, kp of a drive", "k_v1", "V/(m/s)"),
-            ("t_v, Tn of a drive", "t_v", "s"),
-            ("K_v = k_v1 G_tau / t_v", "K_v", "N/m"),
+        (label, number(scale * document[key], 6), units.unit(unit), "")
+        for label, key, unit, scale in (
+            ("k_v1, kp of a drive", "k_v1", "V/(m/s)", 1.0),
+            ("t_v, Tn of a drive", "t_v", "ms", 1e3),
+            ("K_v = k_v1 G_tau / t_v", "K_v", "N/m", 1.0),
         )
     ]
     lagged = [("with lags", document["continuous_with_lags"])] if len(document["closed_forms_leave_out"]) > 1 else []
@@ -106,19 +110,16 @@ def _gains(document: dict[str, Any], units: Units) -> Table:
             ("damping ratio z_v, ideal", "z_v", ""),
         )
     ]
-    return Table(("", "value", "unit", "requested"), rows, "Velocity loop; ideal: closed forms")
+    gains = "gains retuned, for the loop as sampled" if document["retuned"] else "gains by (7)"
+    return Table(("", "value", "unit", "requested"), rows, f"Velocity loop, {gains}; ideal: closed forms")
 
 
-def _margins(document: dict[str, Any]) -> Table:
-    """Margins at each place of the loop, and the closed-loop bandwidth."""
-    sampled, left_out = document["sampled"], document["closed_forms_leave_out"]
-    places = [("sampled,\nplant\ninput", sampled)]
-    if len(left_out) > 1:
-        places.append(("with lags,\nvelocity\nerror", document["continuous_with_lags"]))
-    places += [
-        ("ideal,\nvelocity\nerror", document["velocity_error"]),
-        ("ideal,\nplant\ninput", document["plant_input"]),
-    ]
+def _margins(document: dict[str, Any]) -> list[Table]:
+    """Margins at each place where the loop is broken, and the closed-loop bandwidth."""
+    sampled, lagged = document["sampled"], document["continuous_with_lags"]
+    lags = {"with lags": lagged} if len(document["closed_forms_leave_out"]) > 1 else {}
+    at_error = {"sampled": sampled["velocity_error"], **lags, "ideal": document["velocity_error"]}
+    at_plant = {"sampled": sampled, "ideal": document["plant_input"]}
     limits = document["requested"] if document["retuned"] else {}
 
     def limit(key: str, scale: float) -> list[str]:
@@ -130,17 +131,16 @@ def _margins(document: dict[str, Any]) -> Table:
         unbounded = "none" if key == "gain_reduction_margin" else "unbounded"
         return _scaled(place[key], scale, unbounded if place["stable"] else "undefined")
 
-    rows = [
-        (label, *(cell(place, key, scale) for _, place in places), *limit(key, scale), unit)
-        for label, key, unit, scale in MARGINS
-        if key != "gain_reduction_margin" or any(place[key] is not None for _, place in places)
-    ]
-    for label, unit, scale in (("bandwidth, -3 dB", "rad/s", 1.0), ("", "Hz", 1.0 / HERTZ)):
-        own = _scaled(sampled["bandwidth"], scale, "unbounded" if sampled["stable"] else "undefined")
-        between = [""] * (len(places) - 3)
-        rows.append((label, own, *between, number(scale * document["bandwidth"]), "", *limit("bandwidth", scale), unit))
-    headings = ("", *(name for name, _ in places), *(["asked"] if limits else []), "unit")
-    return Table(headings, rows, "Margins of the velocity loop")
+    def table(broken: str, places: dict[str, dict[str, Any]], more: Iterable[Row] = ()) -> Table:
+        rows = [
+            (label, *(cell(place, key, scale) for place in places.values()), *limit(key, scale), unit)
+            for label, key, unit, scale in (*MARGINS, *more)
+            if key != "gain_reduction_margin" or any(place[key] is not None for place in places.values())
+        ]
+        return Table(("", *places, *(["asked"] if limits else []), "unit"), rows, f"Broken at the {broken}")
+
+    at_plant["ideal"] = {**at_plant["ideal"], "bandwidth": document["bandwidth"]}
+    return [table("plant input", at_plant, CLOSED), table("velocity error", at_error)]
 
 
 def _scaled(value: float | None, scale: float, nothing: str, digits: int = 4) -> str:
@@ -157,8 +157,9 @@ def _notes(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     yield Line("sampled: everything is in it" + "; with lags: without the sampling" * (len(left_out) > 1))
     yield Line(f"ideal: without {', '.join(left_out)}")
     yield _structures(document)
-    low, high = document["feasible_phase_margin_deg"]
-    yield Line(f"feasible phase margin at this crossover: {low:.4g} to {high:.4g} deg (open interval)")
+    if not document["retuned"]:  # the range is that of the gains of (7)
+        low, high = document["feasible_phase_margin_deg"]
+        yield Line(f"feasible phase margin at this crossover: {low:.4g} to {high:.4g} deg (open interval)")
     step, noise = document["largest_velocity_step"], document["encoder_voltage_noise"]
     if not step or not noise:
         return
@@ -228,8 +229,8 @@ def _structures(document: dict[str, Any]) -> Table:
     return Table(("", "-3 dB", "overshoot", "sampled", "overshoot"), rows, "The same gains in each structure")
 
 
-def _mismatch(study: dict[str, Any], units: Units) -> View:
-    """The margins of the same gains, and the gains by (7), over the corners of the mismatch."""
+def mismatch_view(study: dict[str, Any], units: Units) -> View:
+    """The margins of the same gains, and the gains by (7), over the corners of a mismatch."""
     named = {" ".join(map(units.word, name.split("_"))): share for name, share in study["errors"].items()}
     errors = ", ".join(f"{name} +-{100 * share:.3g} %" for name, share in named.items())
     rows = [
@@ -241,10 +242,10 @@ def _mismatch(study: dict[str, Any], units: Units) -> View:
         rows.append(("k_v1 by (7)", *(number(value, 5) for value in study["gains"]["k_v1"]), units.unit("V/(m/s)")))
         rows.append(("t_v by (7)", *(number(1e3 * value, 5) for value in study["gains"]["t_v"]), "ms"))
     headings = ("sampled loop, same gains", "least", "most", "unit")
-    share, worst = 100 * study["stable_share"], worst_in_words(study["worst_loop"], units)
+    worst = f"; {worst_in_words(study['worst_loop'], units)}" if "worst_loop" in study else ""
     return (
         Table(headings, rows, f"Mismatch: {errors}; {study['corners']} corners"),
-        Line(f"stable at {share:.4g} % of the corners; {worst}"),
+        Line(f"stable at {100 * study['stable_share']:.4g} % of the corners{worst}"),
     )
 
 
@@ -326,11 +327,11 @@ def _position_loop(design: dict[str, Any], units: Units) -> Iterator[Line | Tabl
 def _kept_loops(loops: list[dict[str, Any]]) -> View:
     """The loops with the axis file's position loop."""
     rows = []
+    shown = (("crossover", 1.0), ("phase_margin_deg", 1.0), ("gain_margin", 1.0), ("delay_margin", 1e3))
     for loop in loops:
-        shown = (("phase_margin_deg", 1.0), ("gain_margin", 1.0), ("delay_margin", 1e3))
-        cells = [_cell(loop[key], scale) for key, scale in shown] if loop["stable"] else ["unstable", "", ""]
+        cells = [_cell(loop[key], scale) for key, scale in shown] if loop["stable"] else ["unstable", "", "", ""]
         rows.append((loop["name"], loop["broken"], *cells))
-    headings = ("", "broken at the", "phase [deg]", "gain", "delay [ms]")
+    headings = ("", "broken at the", "crossover [rad/s]", "phase [deg]", "gain", "delay [ms]")
     return (Table(headings, rows, "With the axis file's position loop around it"),)
 
 
@@ -441,9 +442,10 @@ def force_view(document: dict[str, Any], units: Units) -> View:
 
 
 def _in_one_line(margins: dict[str, Any]) -> str:
-    """The gain and phase margins of a loop."""
+    """The gain, phase and delay margins of a loop."""
     if not margins["stable"]:
         return "undefined, the loop is unstable"
     phase, crossover = number(margins["phase_margin_deg"]), margins["crossover"]
     at = f"phase {phase}: no crossover" if crossover is None else f"phase {phase} deg at {number(crossover)} rad/s"
-    return f"gain {number(margins['gain_margin'])}, {at}"
+    late = _scaled(margins["delay_margin"], 1e3, "unbounded")
+    return f"gain {number(margins['gain_margin'])}, {at}, delay {late} ms"

@@ -19,10 +19,10 @@ def diagnosis_view(document: dict[str, Any], units: Units) -> View:
         )
         if entry
     ]
-    after += [f"Remedy: {remedy}" for remedy in document["remedies"]]
+    after += [f"Remedy: {remedy}" for remedy in document.get("remedies", ())]
     return (
         Line(document["verdict"], "strong"),
-        Line(document["sentence"]),
+        *([Line(document["sentence"])] if "sentence" in document else []),
         *([_findings(document["findings"], units)] if document["findings"] else []),
         *(Line(text) for text in after),
     )
@@ -30,17 +30,17 @@ def diagnosis_view(document: dict[str, Any], units: Units) -> View:
 
 def _findings(findings: list[dict[str, Any]], units: Units) -> Table:
     """A row per effect; the last column is the share that the confirming data ask for, or the chance without any."""
-    confirmed = any(finding["confirmed"] for finding in findings)
+    confirmed = any(finding.get("confirmed") for finding in findings)
     force = units.unit("N")
     headings = ("effect", "or", "where", f"gap [{force}]", f"after [{force}]", "confirmed" if confirmed else "p")
     rows = [
         (
             finding["label"],
-            ", ".join(finding["equivalents"]) or None,
+            ", ".join(finding.get("equivalents", ())) or None,
             finding["where"]["text"],
             rounded(finding["gap_before"], 3),
             rounded(finding["gap_after"], 3),
-            _share(finding["confirmed"]) if confirmed else f"{finding['p_value']:.3f}",
+            _share(finding.get("confirmed")) if confirmed else f"{finding['p_value']:.3f}",
         )
         for finding in findings
     ]

@@ -32,7 +32,7 @@ from emps_design.frequency_response.response import BAND, FrequencyResponse, nei
 from emps_design.messages import Message, warning
 from emps_design.stretches import stretches
 from emps_design.units import LINEAR, Units
-from emps_design.view import Table
+from emps_design.view import Line, Table, View, Viewed
 
 MISSED = 5.0  # deviations of misfit above which a chain does not describe the response
 VAGUE = 10.0  # relative deviation from which on a parameter is not determined
@@ -183,12 +183,12 @@ class MassChain:
         """The parameters with their deviations."""
         units = self.units
         rows = [
-            (units.words(name.replace("_", " ")), f"{value:.5g}", f"{std:.2g}", units.unit(of))
+            (units.words(name.replace("_", " ")), f"{value:.6g}", f"{std:.3g}", units.unit(of))
             if self.determines(name)
             else (units.words(name.replace("_", " ")), "not determined", "", "")
             for name, (value, std, of) in self.parameters.items()
         ]
-        title = f"Fitted, {self.label}; residuals {self.misfit:.2g} deviations"
+        title = f"Fitted, {units.words(self.label)}; residuals {self.misfit:.2g} deviations"
         return Table(("", "value", "std", "unit"), rows, title)
 
     def to_dict(self) -> dict[str, Any]:
@@ -454,7 +454,7 @@ def agreement(response: FrequencyResponse, model: np.ndarray) -> Agreement:
 
 
 @dataclass(frozen=True, eq=False)
-class ResponseComparison:
+class ResponseComparison(Viewed):
     """A measured ``response`` beside the model of its ``axis`` and beside the chain of masses that fits it."""
 
     response: FrequencyResponse
@@ -474,6 +474,10 @@ class ResponseComparison:
     def chain(self) -> MassChain:
         """The masses, springs and dampers that fit the response."""
         return fit_chain(self.response, units=self.axis.units)
+
+    def view(self) -> View:
+        """The masses that fit the response, and where the model differs from it."""
+        return self.chain.table(), Line(f"{self.axis.name}: {self.agreement.sentence}", "prose")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data."""

@@ -194,8 +194,7 @@ class ResponseEstimate(Viewed):
                 Line(f"{found.kind} at {found.frequency:.2f} +- {found.std:.2f} Hz, damping {found.damping:.3f}")
                 for found in self.resonances
             ),
-            comparison.chain.table(),
-            Line(f"{self.axis.name}: {comparison.agreement.sentence}", "prose"),
+            *comparison.view(),
             *self._distortion(),
             Line("ratio of spectra: velocity over command, which ignores feedback; for comparison only", "prose"),
         )

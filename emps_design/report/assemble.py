@@ -155,11 +155,12 @@ def assemble_report(request: ReportRequest) -> Report:
         said["notes"] = notes + said["notes"]
     loops: tuple[NestedLoop, ...] = ()
     if axis.controller.kind != NONE and get_law(axis.controller.kind).loops:
+        from emps_design.control.controller import controller_margins
         from emps_design.control.sampled import nested_loops
         from emps_design.report.velocity import controller_section
 
         loops = nested_loops(axis)
-        parts += (controller_section(loops, velocity.kept_loops),)
+        parts += (controller_section(controller_margins(axis)),)
     results = design_results(velocity, *around, inputs=inputs, parts=parts, measured=measured, **said)
     tell("drawing", 0.6)
     warnings = [warning for fit in basis.identifications for warning in fit.warnings]

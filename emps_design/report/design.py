@@ -2,40 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from emps_design.advice import Advice
 from emps_design.advice.advice import where_in_words
-from emps_design.control.sampled import VELOCITY_LOOP, NestedLoop
+from emps_design.control.sampled import VELOCITY_LOOP
+from emps_design.control.view import warning_lines
 from emps_design.report.page import (
-    Callout,
     Facts,
     Html,
+    Line,
     Page,
-    Points,
     Section,
-    Table,
-    Text,
-    advice_callout,
+    advice_line,
     angle,
-    delay,
     frequency,
     inputs_table,
     number,
     quantity,
-    ratio,
     sentence_of,
     symbol,
     versions,
 )
-from emps_design.report.velocity import drive_section, force_section, gains_section, velocity_section
+from emps_design.report.velocity import force_section, gains_section, velocity_section
 
 if TYPE_CHECKING:
     from emps_design.control.force import ForceLoopDesign
-    from emps_design.control.margins import Margins
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.verdict import DesignVerdict
 
@@ -109,11 +104,11 @@ def design_page(results: DesignResults) -> Page:
         _summary(results),
         (
             *([] if results.measured is None else [results.measured]),
-            gains_section(velocity),
+            gains_section(velocity, results.verdict),
             velocity_section(velocity),
-            drive_section(velocity),
             *([] if results.force is None else [force_section(results.force)]),
             *results.parts,
+            Section("Axis", *velocity.axis.view()),
             _end_section(results),
         ),
         units=velocity.axis.units,
@@ -134,29 +129,28 @@ def _specification(velocity: VelocityLoopDesign) -> str:
     return "Asked for: " + ", ".join(parts) + retuned
 
 
-def _stops(results: DesignResults) -> list[Callout]:
-    """Return the callouts on unstable loops, which come before any margin."""
+def _stops(results: DesignResults) -> list[Line]:
+    """Return what is said of unstable loops, which comes before any margin."""
     velocity, force, units = results.velocity, results.force, results.velocity.axis.units
     stops = []
     if not velocity.sampled.stable:
-        less = (
-            f"{sentence_of(velocity.reason)} The margins of the continuous loop below say nothing about "
-            "this drive: sample faster, remove delay, or ask for less."
+        stops.append(
+            f"With these gains the sampled velocity loop is unstable. {sentence_of(velocity.reason)} The margins of "
+            "the continuous loop below say nothing about this drive: sample faster, remove delay, or ask for less."
         )
-        stops.append(Callout("stop", "with these gains the sampled velocity loop is unstable.", less))
     elif not results.verdict.stable:
-        stops.append(Callout("stop", sentence_of(results.verdict.reason)))
+        stops.append(sentence_of(results.verdict.reason))
     if force is not None and not force.worst.margins.stable:
         gain = quantity(force.k_e1, "(m/s)/N", 4, units)
-        title = f"the {units.words(force.worst.name)} is unstable at k_e1 = {gain}."
-        stops.append(Callout("stop", title, sentence_of(force.reason)))
-    return [*stops, *(Callout("stop", stop) for stop in results.stops)]
+        loop = units.words(force.worst.name)
+        stops.append(f"The {loop} is unstable at k_e1 = {gain}. {sentence_of(force.reason)}")
+    return [Line(stop, "bad") for stop in (*stops, *map(sentence_of, results.stops))]
 
 
 def _summary(results: DesignResults) -> tuple[Any, ...]:
     velocity = results.velocity
     sampled, period, units = velocity.sampled, velocity.axis.sampling.period, velocity.axis.units
-    blocks: list[Any] = [] if results.advice is None else [advice_callout(results.advice, units)]
+    blocks: list[Any] = [] if results.advice is None else [advice_line(results.advice)]
     blocks += _stops(results)
     facts: list[tuple[Any, str, str]] = [
         (Html(symbol("k_v1")), quantity(velocity.k_v1, "V/(m/s)", 4, units), "gain of the velocity loop"),
@@ -183,87 +177,17 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
     else:
         facts.append(("margins on the drive", "none", "the sampled loop is unstable"))
     blocks.append(Facts(tuple(facts)))
-    blocks += [Text(note) for note in results.notes]
-    blocks.append(_achieved_table(velocity, results.verdict.at({})))
-    continuous, on_drive = velocity.plant_input.phase_margin_deg, sampled.margins.phase_margin_deg
-    if continuous is not None and on_drive is not None:  # an unstable loop has no margin
-        parts = ["sampling", "hold", "current loop", "delay", "velocity estimator"]
-        parts += ["filters of the command"] * bool(velocity.filters)
-        parts += ["effects of the axis"] * bool(velocity.axis.effects)
-        blocks.append(
-            Text(
-                f"At the plant input, {', '.join(parts[:-1])} and {parts[-1]} take {continuous - on_drive:.1f}° of the "
-                f"{angle(continuous)} that the continuous loop has there."
-            )
-        )
+    blocks += [Line(note) for note in results.notes]
     own = [message for message in velocity.warnings if message.code != "unstable"]
     warnings = [*results.cautions, *results.verdict.warnings, *own]
-    if warnings:
-        blocks.append(Callout("warning", "To read with the numbers", items=tuple(dict.fromkeys(warnings))))
-    return tuple(blocks)
-
-
-def _achieved_table(velocity: VelocityLoopDesign, loops: Sequence[NestedLoop]) -> Table:
-    """Return the table of specified and achieved margins at every place where a loop is broken, ``loops`` first."""
-    sampled, requested = velocity.sampled, velocity.requested
-    met_by = "loop broken at the velocity error" + (", (6) and (7)" if velocity.structure.form == "ip" else "")
-    if velocity.retuned_at:
-        met_by = f"sampled loop broken at the {velocity.retuned_at.replace('-', ' ')}"
-
-    missing, lagged = ("the sampling", *velocity.left_out), []
-
-    def row(name: str, margins: Margins, bandwidth: float | None) -> list[Any]:
-        if not margins.stable:
-            return [name, *["unstable"] * 5]
-        phase = margins.phase_margin_deg
-        return [
-            name,
-            "unbounded" if phase is None else angle(phase),
-            frequency(margins.crossover),
-            frequency(bandwidth),
-            ratio(margins.gain_margin),
-            delay(margins.delay_margin, margins.period),
-        ]
-
-    if velocity.left_out:
-        with_lags = velocity.with_lags
-        lagged = [
-            row("velocity error, with lags", with_lags.velocity_error, None),
-            row("plant input, with lags", with_lags.plant_input, None),
-        ]
-    return Table(
-        ["", "phase margin", "crossover", "closed loop −3 dB", "gain margin", "delay margin"],
-        [
-            [
-                Html("<b>asked for</b>"),
-                angle(requested.get("phase_margin_deg")),
-                frequency(requested.get("crossover")),
-                frequency(requested.get("bandwidth")),
-                "—",
-                "—",
-            ],
-            *(
-                row(f"{loop.name}, {loop.broken}, sampled", loop.margins, None)
-                for loop in loops
-                if loop.name != VELOCITY_LOOP
-            ),
-            row("plant input, sampled", sampled.margins, sampled.bandwidth),
-            row("velocity error, sampled", sampled.velocity_error, sampled.bandwidth),
-            *lagged,
-            row("velocity error, ideal", velocity.velocity_error, velocity.bandwidth),
-            row("plant input, ideal", velocity.plant_input, velocity.bandwidth),
-        ],
-        f"Specification against achieved. The specification holds for the {met_by}; what destabilises a drive acts at "
-        "the plant input, so the first rows, with everything in them, are what the drive will have. Rows with lags are "
-        f"continuous and leave out the sampling, ideal ones leave out {', '.join(missing)}.",
-    )
+    return (*blocks, *warning_lines(list(dict.fromkeys(warnings))))
 
 
 def _end_section(results: DesignResults) -> Section:
     force = results.velocity.axis.units.word("force")
     return Section(
         "Assumptions, inputs and versions",
-        Points(text.format(force=force) for text in ASSUMPTIONS),
+        *(Line(text.format(force=force), "point") for text in ASSUMPTIONS),
         inputs_table(results.inputs) if results.inputs else None,
-        Text(versions()),
+        Line(versions()),
     )

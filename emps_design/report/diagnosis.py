@@ -14,10 +14,10 @@ import numpy as np
 from emps_design.advice import advise
 from emps_design.axis import Axis, Mechanics
 from emps_design.discrepancy.residual_views import EVERYWHERE
+from emps_design.discrepancy.view import diagnosis_view
 from emps_design.errors import EmpsError
 from emps_design.report import diagnosis_sections as figures
 from emps_design.report.diagnosis_sections import (
-    answer_points,
     candidates_section,
     closed_share,
     closest_section,
@@ -26,22 +26,21 @@ from emps_design.report.diagnosis_sections import (
     in_plain_words,
     limits_section,
     method_section,
+    model_file,
     parameters_section,
-    remedy_section,
     unexplained_section,
     views_section,
 )
 from emps_design.report.loop_figures import response_section
 from emps_design.report.page import (
     NOTHING,
-    Callout,
     Facts,
+    Line,
     Page,
     Picture,
     Section,
     Table,
-    Text,
-    advice_callout,
+    advice_line,
     angle,
     delay,
     html,
@@ -62,7 +61,7 @@ CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg: the specification of the pa
 
 VERDICTS = {
     "named": ("warning", "What is missing from the model has a name"),
-    "parameters-only": ("note", "Nothing is missing: only the numbers of the axis file are off"),
+    "parameters-only": ("good", "Nothing is missing: only the numbers of the axis file are off"),
     "partly-named": ("warning", "Part of what is missing has a name, and something is left that has none"),
     "nothing-missing": ("good", "Nothing is missing from the model"),
     "ambiguous": ("warning", "Something is missing, and these data cannot tell which of several effects it is"),
@@ -137,38 +136,19 @@ def _row(quantity: str, before: str | None, after: str | None, note: str) -> dic
     return {"quantity": quantity, "before": before, "after": after, "note": note}
 
 
-def _design_rows(diagnosis: Diagnosis, document: Mapping[str, Any]) -> list[dict[str, Any]]:
+def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section | None:
+    """Return the section that compares the design on both models, or None where nothing was found."""
     axis, parameters = getattr(diagnosis, "axis", None), document.get("parameters")
     if axis is None or not parameters or not document["findings"]:
-        return []
-    return design_change(axis_before(axis, parameters), axis)
-
-
-def design_section(diagnosis: Diagnosis, document: Mapping[str, Any], units: Units) -> Section | None:
-    """Return the section that compares the design on both models, or None."""
-    rows = document.get("design") or _design_rows(diagnosis, document)
-    if not rows:
         return None
-
-    def shown(value: Any, unit: str) -> str:
-        if isinstance(value, str) or value is None:
-            return value or NOTHING
-        return angle(value) if unit == "deg" else quantity(value, unit, 4, units)
-
+    rows = design_change(axis_before(axis, parameters), axis)
     return Section(
         "What the better model changes in the design",
         Table(
             ["quantity", "with the model as it was", "with the better model", "remark"],
-            [
-                [
-                    row["quantity"],
-                    shown(row["before"], row.get("unit", "")),
-                    shown(row["after"], row.get("unit", "")),
-                    row.get("note", ""),
-                ]
-                for row in rows
-            ],
+            [[row["quantity"], row["before"], row["after"], row["note"]] for row in rows],
             "The same specification, designed on both models.",
+            missing=NOTHING,
         ),
     )
 
@@ -180,8 +160,7 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any, units:
     """
     if not chosen:
         return None
-    text = chosen["text"]
-    blocks: list[Any] = [Text(f"{text[0].upper()}{text[1:]}.")]
+    blocks: list[Any] = []
     if getattr(experiment, "q_ref", None) is not None:
         blocks.append(
             Picture(
@@ -193,7 +172,7 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any, units:
         )
     if chosen.get("file"):
         blocks.append(
-            Text(
+            Line(
                 html(
                     "It is in <code>{}</code>, columns t [s] and q_ref [{}]. Try it first: "
                     "<code>emps-design simulate model.toml --reference {}</code>.",
@@ -208,12 +187,15 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any, units:
         blocks.append(
             Table(
                 ["program", "what it does", f"apart [{units.unit('N')} rms]", "apart [std of the noise]"],
-                [[words(row["program"]), row["text"], row["distance"], row["over_noise"]] for row in chosen["menu"]],
+                [
+                    [words(row["program"]), row["text"], number(row["distance"]), number(row["over_noise"])]
+                    for row in chosen["menu"]
+                ],
                 f"How far apart {between} are on each program that stays within what the records show, fitted to one "
                 f"another; {quantity(chosen['needed'], '', 2)} standard deviations decide.",
             )
         )
-    return Section("What to record next", *blocks)
+    return Section("What to record next", *blocks) if blocks else None
 
 
 def reference_figure(t: np.ndarray, q_ref: np.ndarray) -> Figure:
@@ -235,13 +217,11 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
     findings, axis = document["findings"], getattr(diagnosis, "axis", None)
     units = LINEAR if axis is None else axis.units
     level, verdict = VERDICTS[document["verdict"]]
-    answer = (Text(typeset(document["sentence"])),) if "sentence" in document else ()
-    what_to_do = advice_callout(advise("diagnose", document, units=units), units)
     summary: list[Any] = [
-        what_to_do,
-        Callout(level, in_plain_words(document), verdict),
-        answer_points(document, units),
-        *answer,
+        advice_line(advise("diagnose", document, units=units)),
+        Line(html("<b>{}.</b> {}", verdict, in_plain_words(document)), level),
+        *diagnosis_view(document, units),
+        *model_file(document),
     ]
     simulated = document.get("simulation", "closed loop")
     whole = document.get("held_out", {}).get("time") is None
@@ -262,14 +242,13 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         unexplained_section(document, units),
         closest_section(document, units),
         experiment_section(document.get("experiment"), getattr(diagnosis, "experiment", None), units),
-        remedy_section(document),
         parameters_section(document, units),
         gap_section(document, units),
         views_section(diagnosis, units),
         None if response is None else response_section(response),
         candidates_section(diagnosis, document.get("candidates", ()), units),
         limits_section(document),
-        design_section(diagnosis, document, units),
+        design_section(diagnosis, document),
         method_section(document, units),
     ]
     names = ", ".join(record["name"] for record in document.get("records", ()))
@@ -280,15 +259,6 @@ def diagnosis_page(diagnosis: Diagnosis) -> Page:
         tuple(section for section in sections if section is not None),
         units=units,
     )
-
-
-def typeset(text: str) -> str:
-    """Return ASCII text of the command line with the signs of a page.
-
-    >>> typeset("7.4 +- 0.6 N; 1.6 N -> 0.4 N")
-    '7.4 ± 0.6 N; 1.6 N → 0.4 N'
-    """
-    return text.replace("+-", "±").replace("->", "→")
 
 
 def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]], units: Units) -> str:

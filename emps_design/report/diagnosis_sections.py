@@ -11,18 +11,17 @@ from emps_design.discrepancy.acceptance import explained
 from emps_design.discrepancy.residual_views import SPECTRAL
 from emps_design.effects import get_effect, kind_of
 from emps_design.errors import EmpsError
-from emps_design.quantities import inside, share_asked
+from emps_design.quantities import inside
 from emps_design.report.page import (
     NOTHING,
-    Callout,
+    Line,
     Picture,
-    Points,
     Section,
     Table,
-    Text,
     html,
     inputs_table,
     interval,
+    number,
     probability,
     quantity,
     sentence_of,
@@ -251,14 +250,6 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
     return f"The machine does not quite do what its model says, and {cause} been found: {listed}.{closed}{sure}{rest}"
 
 
-def how_sure(finding: Mapping[str, Any]) -> str:
-    """Return in words how far the held-out data confirm a finding."""
-    confirmed = finding.get("confirmed")
-    if not confirmed:
-        return "not seen on held-out data"
-    return f"the held-out data ask for {_share(confirmed)} of it"
-
-
 def closed_share(before: float, after: float, floor: float) -> str:
     """Return the share of a gap that is closed, in words; an error below the noise floor closes all of it.
 
@@ -268,66 +259,20 @@ def closed_share(before: float, after: float, floor: float) -> str:
     return f"{100 * min(explained(before, after, floor), 1.0):.0f} %"
 
 
-def _share(confirmed: Mapping[str, float] | None) -> str:
-    return share_asked(confirmed["share"], confirmed["std"]).replace("+-", "±") if confirmed else NOTHING
-
-
-def answer_points(document: Mapping[str, Any], units: Units) -> Points:
-    """Return what was found and how surely, what is left, and what to record next, one line each."""
-    lines = [
-        f"Found: {inside(_label(f))}, up to {quantity(f['where']['force']['value'], 'N', 3, units)}; {how_sure(f)}."
-        for f in document["findings"]
-        if f.get("where", {}).get("force")
-    ]
-    if document.get("unexplained"):
-        lines.append(f"Left: {document['unexplained']['text']}.")
-    if document.get("experiment"):
-        lines.append(f"Record next: {document['experiment']['text']}.")
-    return Points(lines or ["Nothing has to be recorded."])
-
-
 def findings_section(findings: Sequence[Mapping[str, Any]], units: Units) -> Section | None:
-    """Return the section on the effects found: their evidence and their parameters."""
+    """Return the section on the effects found: what speaks for each beside the summary, and their parameters."""
     if not findings:
         return None
-    alike = any(finding.get("equivalents") for finding in findings)
-    notes = [finding.get("note", "") for finding in findings]
-    shared = len(set(notes)) == 1
     force, newton = units.word("force"), units.unit("N")
-    headers = [
-        "effect",
-        "p-value",
-        "confirmed: share asked for",
-        f"gap without it [{newton}]",
-        f"gap with it [{newton}]",
-        "acts in the",
-        "where",
-        f"{force} up to [{newton}]",
-        *([] if shared else ["remark"]),
-        *(["cannot be told from"] if alike else []),
-    ]
-    remark = f" {sentence_of(notes[0])}" if shared and notes[0] else ""
-    blocks: list[Any] = [
-        Table(
-            headers,
-            [
-                [
-                    html("<b>{}</b>", _label(f)),
-                    probability(f.get("p_value")),
-                    _share(f.get("confirmed")),
-                    f.get("gap_before"),
-                    f.get("gap_after"),
-                    f.get("where", {}).get("channel", "plant"),
-                    f.get("where", {}).get("text", ""),
-                    f.get("where", {}).get("force", {}).get("value"),
-                    *([] if shared else [note]),
-                    *([", ".join(units.words(words(e)) for e in f.get("equivalents") or ()) or "—"] if alike else []),
-                ]
-                for f, note in zip(findings, notes, strict=True)
-            ],
-            f"Findings in the order they were accepted; the gap is the rms error of the simulated {force}, and the "
-            f"{force} is what the effect itself contributes.{remark}",
-        )
+    evidence = [
+        [
+            _label(finding),
+            probability(finding.get("p_value")),
+            finding.get("where", {}).get("channel", "plant"),
+            number(finding.get("where", {}).get("force", {}).get("value")),
+            finding.get("note", ""),
+        ]
+        for finding in findings
     ]
     rows = [
         [
@@ -340,16 +285,22 @@ def findings_section(findings: Sequence[Mapping[str, Any]], units: Units) -> Sec
         for finding in findings
         for name, entry in finding.get("parameters", {}).items()
     ]
-    if rows:
-        blocks.append(
-            Table(
-                ["effect", "parameter", "value ± std", "95 % interval", "belongs to"],
-                rows,
-                "Parameters of what was found. A number that belongs to one record (the phase of a ripple, the time of "
-                "an event) is fitted anew on every other record.",
-            )
+    return Section(
+        "What is missing",
+        Table(
+            ["effect", "p-value", "acts in the", f"{force} up to [{newton}]", "remark"],
+            evidence,
+            f"Evidence, in the order of the findings; the {force} is what the effect itself contributes.",
+        ),
+        Table(
+            ["effect", "parameter", "value ± std", "95 % interval", "belongs to"],
+            rows,
+            "Parameters of what was found. A number that belongs to one record (the phase of a ripple, the time of "
+            "an event) is fitted anew on every other record.",
         )
-    return Section("What is missing", *blocks)
+        if rows
+        else None,
+    )
 
 
 def unexplained_section(document: Mapping[str, Any], units: Units) -> Section | None:
@@ -374,10 +325,17 @@ def closest_section(document: Mapping[str, Any], units: Units) -> Section | None
     closest = document.get("closest")
     if not closest:
         return None
-    blocks: list[Any] = [Text(sentence_of(closest["text"]))]
+    blocks: list[Any] = []
     if "gap" in closest:
         rows = [
-            [word, record, document[key][part]["extended"], closest[key][part]["extended"], document[key].get("floor")]
+            [
+                word,
+                record,
+                *map(
+                    number,
+                    (document[key][part]["extended"], closest[key][part]["extended"], document[key].get("floor")),
+                ),
+            ]
             for key, word in (("gap", document["simulation"]), ("gap_inverse_60hz", "inverse model, 60 Hz"))
             for part, record in (("train", "training"), ("holdout", "held out"))
             if part in closest[key]
@@ -388,8 +346,8 @@ def closest_section(document: Mapping[str, Any], units: Units) -> Section | None
         headers = [f"{units.word('force')} error", "record", *models]
         blocks.append(Table(headers, rows, caption))
     if closest.get("model_file"):
-        blocks.append(Text(html("Its axis file: <code>{}</code>.", closest["model_file"])))
-    return Section("The closest model", *blocks)
+        blocks.append(Line(html("Its axis file: <code>{}</code>.", closest["model_file"])))
+    return Section("The closest model", *blocks) if blocks else None
 
 
 def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, Any]], units: Units) -> Section | None:
@@ -400,9 +358,7 @@ def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, A
         [
             c.get("label") or words(c["effect"]),
             "accepted" if c.get("accepted") else "lost",
-            c.get("gap"),
-            c.get("statistic"),
-            c.get("threshold"),
+            *(number(c.get(name)) for name in ("gap", "statistic", "threshold")),
             c.get("note", ""),
         ]
         for c in candidates
@@ -543,29 +499,22 @@ def limits_section(document: Mapping[str, Any]) -> Section | None:
     )
 
 
-def remedy_section(document: Mapping[str, Any]) -> Section | None:
-    """Return the section on the remedies and the file of the model."""
-    remedies = [r for r in document.get("remedies", ()) if r]
-    blocks: list[Any] = [Points(map(sentence_of, remedies))] if remedies else []
-    if document.get("model_file"):
-        what = "with what was missing" if document["findings"] else "refitted to the records, with nothing added"
-        blocks.append(
-            Text(html("The model {}: <code>{}</code>. Every command runs on it.", what, document["model_file"]))
-        )
-    return Section("What to do", *blocks) if blocks else None
+def model_file(document: Mapping[str, Any]) -> list[Line]:
+    """Return a line that names the file of the model, if there is one."""
+    if not document.get("model_file"):
+        return []
+    what = "with what was missing" if document["findings"] else "refitted to the records, with nothing added"
+    return [Line(html("The model {}: <code>{}</code>. Every command runs on it.", what, document["model_file"]))]
 
 
 def method_section(document: Mapping[str, Any], units: Units) -> Section:
     """Return the section on method, assumptions, warnings and inputs."""
-    blocks: list[Any] = []
-    if document.get("calibration"):
-        blocks.append(Text(document["calibration"]))
-    if document.get("assumptions"):
-        blocks.append(Points(document["assumptions"]))
-    if document.get("warnings"):
-        blocks.append(Callout("warning", "Warnings", items=tuple(document["warnings"])))
     inputs = dict(document.get("inputs") or {r["name"]: r.get("sha256") for r in document.get("records", ())})
-    if inputs:
-        blocks.append(inputs_table(inputs))
-    blocks.append(Text(versions()))
-    return Section("Method, warnings and inputs", *blocks)
+    return Section(
+        "Method, warnings and inputs",
+        Line(document["calibration"]) if document.get("calibration") else None,
+        *(Line(assumption, "point") for assumption in document.get("assumptions", ())),
+        *(Line(warning, "note") for warning in document.get("warnings", ())),
+        inputs_table(inputs) if inputs else None,
+        Line(versions()),
+    )

@@ -11,21 +11,7 @@ import numpy as np
 
 from emps_design.control.sampled import MARGINAL
 from emps_design.report.diagrams import impedance_law_diagram
-from emps_design.report.page import (
-    NOTHING,
-    Callout,
-    Html,
-    Picture,
-    Section,
-    Table,
-    Text,
-    frequency,
-    html,
-    number,
-    quantity,
-    sentence_of,
-    symbol,
-)
+from emps_design.report.page import Line, Picture, Section, Table, html, quantity
 from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, look, subplots, thin
 
 if TYPE_CHECKING:
@@ -39,7 +25,6 @@ if TYPE_CHECKING:
     from emps_design.comanipulation.wall import WallContact
     from emps_design.control.impedance.passivity import ContactMap
     from emps_design.control.impedance.robustness import StabilityMap
-    from emps_design.units import Units
 
 VERDICT_COLORS = {
     "stable": GREEN,
@@ -218,33 +203,22 @@ def contact_map_figure(regions: ContactMap) -> Figure:
 
 def impedance_section(assessment: ImpedanceAssessment) -> Section:
     """Return the section on the impedance law of ``assessment``."""
-    document = assessment.to_dict()
-    law, units = assessment.law, assessment.axis.units
-    force, carriage = units.word("force"), units.word("carriage")
-    blocks: list[Any] = [
-        Text(
-            f"Without a {force} sensor the law makes the {carriage} feel like {quantity(law.mass, 'kg', 4, units)} and "
-            f"{quantity(law.damping, 'N/(m/s)', 4, units)}. Acceleration and current pass the "
-            f"same low-pass of {frequency(law.filter) if np.isfinite(law.filter) else 'no limit'}."
-        ),
-        _verdict(assessment),
+    force = assessment.axis.units.word("force")
+    study = assessment.study
+    return Section(
+        "Impedance law",
         Picture(
             impedance_law_diagram(),
             f"(a) The law sees motion and motor current, no {force}. (b) The impedance it aims at; in co-manipulation "
             "K and the reference velocity are zero.",
             "Impedance control, after Fig. 11 of the paper",
         ),
-        _felt_table(document, units),
+        *assessment.view(),
         _impedance_picture(assessment),
-        _sampled_table(document, units),
         *_maps(assessment),
-    ]
-    if assessment.study is not None:
-        blocks += _mismatch_blocks(assessment, assessment.study, document["mismatch"])
-    blocks.append(_errata_table())
-    if document["warnings"]:
-        blocks.append(Callout("warning", "To read with the numbers", items=tuple(document["warnings"])))
-    return Section("Impedance law", *blocks)
+        *([] if study is None else _mismatch_blocks(assessment, study)),
+        _errata_table(),
+    )
 
 
 def refusal(assessment: ImpedanceAssessment) -> str:
@@ -252,35 +226,6 @@ def refusal(assessment: ImpedanceAssessment) -> str:
     words = {"unstable": "is unstable", "limit_cycle": "ends in a limit cycle"}.get(assessment.verdict)
     why = assessment.reason.partition(": ")[2]
     return f"the impedance law {words}: {why}" if words else ""
-
-
-def _verdict(assessment: ImpedanceAssessment) -> Callout:
-    from emps_design.comanipulation.study import CALM
-
-    if not assessment.stable:
-        title, _, body = refusal(assessment).partition(": ")
-        return Callout("stop", f"{title}.", body)
-    tried = "" if assessment.study is not None else " Errors of the estimates were not tried."
-    headline = sentence_of(assessment.headline)
-    return Callout("good" if assessment.verdict in CALM else "warning", headline + tried)
-
-
-def _felt_table(document: Mapping[str, Any], units: Units) -> Table:
-    rows = [
-        [
-            label,
-            quantity(document[key]["apparent_mass"], "kg", 4, units),
-            quantity(document[key]["apparent_damping"], "N/(m/s)", 4, units),
-            quantity(document[key]["coulomb_left"], "N", 4, units),
-        ]
-        for key, label in (("derived", "law as derived"), ("printed", "(30) as printed"))
-    ]
-    return Table(
-        ["", f"apparent {units.word('mass')}", "apparent damping", "Coulomb friction left"],
-        rows,
-        "What the hand feels with exact estimates and an ideal current loop. As printed, (30) has a factor 2 that does "
-        "not follow from (28) and (29); this is what it costs.",
-    )
 
 
 def _impedance_picture(assessment: ImpedanceAssessment) -> Picture:
@@ -315,62 +260,6 @@ def _impedance_picture(assessment: ImpedanceAssessment) -> Picture:
     )
 
 
-def _sampled_table(document: Mapping[str, Any], units: Units) -> Table:
-    force, mass, carriage = (units.word(name) for name in ("force", "mass", "carriage"))
-    stiffness = units.unit("N/mm")
-    sampled, contact, loop = document["sampled"], document["passivity"], document["equivalent_loop"]
-    bands = contact["sampled"]["active_bands"] if contact else []
-    active = "; ".join(
-        f"{number(low)} to {number(high)} rad/s" if high is not None else f"from {number(low)} rad/s"
-        for low, high in bands
-    )
-    wall = document["largest_wall_stiffness"]
-    stiffest = "unbounded" if contact else NOTHING
-    if wall is not None:
-        stiffest = f"{number(wall / 1e3)} {stiffness}"
-    largest = max((abs(complex(p)) for p in sampled["poles"]), default=None)
-    rows = [
-        ["largest pole, sliding", number(largest, 5), "inside the unit circle below 1"],
-        [
-            "gain of the recursion in its own current",
-            number(sampled["recursion_gain"]),
-            "held stable by the acceleration",
-        ],
-        [
-            f"{force} to break away",
-            quantity(document["break_away"], "N", 4, units),
-            "at rest the law compensates no dry friction",
-        ],
-        [
-            f"smallest safe apparent {mass}",
-            quantity(document["smallest_safe_mass"], "kg", 4, units),
-            "stable at every corner of the mismatch, and not swinging in the simulation",
-        ],
-        ["takes energy from the hand", active or "nowhere", "bands in which the sampled law is not passive"],
-        *(
-            [
-                f"stiffest wall, {'exact estimates' if name == 'exact' else 'worst corner of the mismatch'}",
-                f"{number(limit['simulated'] / 1e3)} {stiffness}",
-                f"pressed against it the {carriage} comes to rest; simulated, pushes around "
-                f"{units.quantity(limit['push'], 'N', '.3g')}",
-            ]
-            for name, limit in document["wall_limit"].items()
-        ),
-        [
-            "stiffest undamped wall by the poles",
-            stiffest,
-            "without friction, its compensation and the encoder",
-        ],
-        [
-            html("equivalent {} loop {}", force, Html(symbol("k_e1"))),
-            "none" if loop["k_e1"] is None else quantity(loop["k_e1"], "(m/s)/N", 4, units),
-            f"{loop['criterion'].replace('_', ' ')} match"
-            + ("" if loop["k_e1"] is None or loop["sampled"]["stable"] else "; unstable on this drive"),
-        ],
-    ]
-    return Table(["quantity", "value", "meaning"], rows, "The law as implemented, on the sampled drive.")
-
-
 def _maps(assessment: ImpedanceAssessment) -> list[Picture]:
     from emps_design.control.impedance.passivity import contact_map
     from emps_design.control.impedance.robustness import stability_map
@@ -400,60 +289,24 @@ def _maps(assessment: ImpedanceAssessment) -> list[Picture]:
     return pictures
 
 
-def _mismatch_blocks(assessment: ImpedanceAssessment, study: MismatchStudy, mismatch: Mapping[str, Any]) -> list[Any]:
+def _mismatch_blocks(assessment: ImpedanceAssessment, study: MismatchStudy) -> list[Any]:
     from emps_design.comanipulation.run import run_task
     from emps_design.comanipulation.study import run_worst
 
-    worst = mismatch["worst"]
-    percent = f"±{100 * mismatch['mismatch']:g} %"
-    task = study.task
-    law, units = assessment.law, assessment.axis.units
-    mass, force, carriage, voltage = (units.word(name) for name in ("mass", "force", "carriage", "voltage"))
+    task, law, units = study.task, assessment.law, assessment.axis.units
+    percent = f"±{100 * (assessment.mismatch or 0.0):g} %"
+    force, carriage = units.word("force"), units.word("carriage")
     runs = {
         "exact estimates": run_task(assessment.axis, law, task),
         f"worst within {percent}": run_worst(assessment.axis, study),
         f"with a {force} sensor": run_task(assessment.axis, replace(law, force_sensor=True), task),
     }
-    share = f"{100 * mismatch['stable_share']:.4g} %"
-    rows = [
-        ["verdict of the worst plant", worst["verdict"].replace("_", " ")],
-        ["its estimates are off by", units.words(_errors(worst["errors"]))],
-        ["come to rest when let go", f"{share}{_interval(mismatch['stable_share_interval'])}"],
-        [
-            "neither unstable nor in a limit cycle",
-            f"{100 * mismatch['bounded_share']:.4g} %{_interval(mismatch['bounded_share_interval'])}",
-        ],
-        *([f"with {case['what']}", case["verdict"].replace("_", " ")] for case in mismatch["beyond"]),
-        ["creep after release, at most", quantity(mismatch["creep_speed"], "m/s", 4, units)],
-        ["dead band, at most", quantity(mismatch["dead_band"], "N", 4, units)],
-        ["Coulomb factor that rules creep out", number(mismatch["coulomb_factor_without_creep"])],
-        ["largest pole over the corners", number(mismatch["largest_pole"], 5)],
-    ]
-    ranges = mismatch["ranges"]
-    bases = {"apparent_mass": "kg", "apparent_damping": "N/(m/s)", "peak_voltage": "V", "rms_force": "N", "work": "J"}
-    spread = [
-        [
-            units.words(name.replace("_", " ")),
-            *(quantity(ranges[name][key], base, 4, units) for key in ("low", "median", "high")),
-        ]
-        for name, base in bases.items()
-        if name in ranges
-    ]
-    if "r2" in ranges:
-        spread.append([f"R², {force} on motion", *(number(ranges["r2"][key]) for key in ("low", "median", "high"))])
     return [
-        Table(
-            ["", "value"],
-            rows,
-            f"{mass.capitalize()}, viscous and Coulomb friction of the law off by up to {percent}: {study.corners} "
-            f"corners and {study.plants} random plants, seed {study.seed}. Not varied there: the {force} gain, which "
-            "scales all three and is inside the box, and the filter of the law. With: the corners on a machine changed "
-            "in that.",
-        ),
-        Table(
-            ["", "5 %", "median", "95 %"],
-            spread,
-            f"The random plants: transparency, {voltage} and the operator's effort.",
+        Line(
+            f"{units.word('mass').capitalize()}, viscous and Coulomb friction of the law are off by up to {percent}: "
+            f"{study.corners} corners and {study.plants} random plants, seed {study.seed}. Not varied: the {force} "
+            "gain, which scales all three and is inside the box, and the filter of the law. With: the corners on a "
+            "machine changed in that."
         ),
         Picture(
             mismatch_figure(study),
@@ -469,15 +322,6 @@ def _mismatch_blocks(assessment: ImpedanceAssessment, study: MismatchStudy, mism
         ),
         _effort_table(assessment, runs),
     ]
-
-
-def _interval(bounds: tuple[float, float]) -> str:
-    low, high = bounds
-    return "" if np.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
-
-
-def _errors(errors: Mapping[str, float]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {100 * e:+.2g} %".replace("-", "−") for name, e in errors.items())
 
 
 def _effort_table(assessment: ImpedanceAssessment, runs: Mapping[str, Any]) -> Table:

@@ -7,26 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from emps_design.control.sampled import MARGINAL
-from emps_design.frequency_response.coupling import MassChain, ResponseComparison
+from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.frequency_response.response import BAND, resonances
-from emps_design.report.page import (
-    NOTHING,
-    Callout,
-    Picture,
-    Section,
-    Table,
-    Text,
-    angle,
-    delay,
-    number,
-    quantity,
-    ratio,
-)
+from emps_design.report.page import Line, Picture, Section, angle, delay, number, quantity, ratio
 from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, hertz_axis, look, note, plain_subplots, subplots
 
 if TYPE_CHECKING:
@@ -37,7 +25,6 @@ if TYPE_CHECKING:
     from emps_design.control.margins import Margins
     from emps_design.control.velocity.design import VelocityLoopDesign
     from emps_design.control.verdict import StepResponse
-    from emps_design.units import Units
 
 COLOURS = (RED, GREEN)
 
@@ -409,40 +396,22 @@ def response_figure(comparison: ResponseComparison, ratio: np.ndarray | None = N
     return figure
 
 
-def response_blocks(comparison: ResponseComparison, ratio: np.ndarray | None = None) -> tuple[Any, ...]:
-    """Return the picture of a response beside the model, the agreement in words, the fitted masses, and warnings."""
-    units = comparison.axis.units
-    warnings = (*comparison.response.warnings, *comparison.chain.warnings)
-    return (
-        Picture(
-            response_figure(comparison, ratio),
-            f"{units.word('force').capitalize()} to velocity of the plant, hold and delay of the drive taken out, with "
-            "the 95 % band of the data.",
-            "Measured frequency response",
-        ),
-        Text(f"{comparison.axis.name}: {comparison.agreement.sentence}."),
-        _chain_table(comparison.chain, units),
-        Callout("warning", "What the data do not say", items=warnings) if warnings else None,
-    )
-
-
 def response_section(comparison: ResponseComparison) -> Section:
-    """Return the section on a measured response."""
-    return Section(f"Measured response {comparison.response.name}", *response_blocks(comparison))
-
-
-def _chain_table(chain: MassChain, units: Units) -> Table:
-    rows = [
-        [
-            units.words(name.replace("_", " ")),
-            units.unit(unit),
-            *((number(value, 6), number(std, 3)) if known else ("not determined", NOTHING)),
-        ]
-        for name, (value, std, unit) in chain.parameters.items()
-        for known in [chain.determines(name)]
-    ]
-    text = (
-        f"The response asks for {units.words(chain.label)}; residuals are {number(chain.misfit, 2)} times the data's "
-        "deviations."
+    """Return the section on a measured response beside the model: picture, agreement, fitted masses, warnings."""
+    warnings = (*comparison.response.warnings, *comparison.chain.warnings)
+    return Section(
+        f"Measured response {comparison.response.name}",
+        response_picture(comparison),
+        *comparison.view(),
+        *(Line(warning, "note") for warning in warnings),
     )
-    return Table(["parameter", "unit", "value", "standard deviation"], rows, text)
+
+
+def response_picture(comparison: ResponseComparison, ratio: np.ndarray | None = None) -> Picture:
+    """Return the picture of a response beside the model; ``ratio`` as in :func:`response_figure`."""
+    force = comparison.axis.units.word("force").capitalize()
+    return Picture(
+        response_figure(comparison, ratio),
+        f"{force} to velocity of the plant, hold and delay of the drive taken out, with the 95 % band of the data.",
+        "Measured frequency response",
+    )

@@ -1,4 +1,4 @@
-"""A page: a title, a summary, and sections of text, tables and pictures; one HTML file that needs nothing else.
+"""A page: a title, a summary, and sections of views and pictures; one HTML file that needs nothing else.
 
 A page is reproducible: it names the versions that made it and the SHA-256 of every input, and no time. The advice on
 the result is its first box.
@@ -16,23 +16,23 @@ from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib.metadata import version
+from itertools import count
 from typing import TYPE_CHECKING, Any, TypeGuard
 
+from emps_design import view
 from emps_design.advice import CAUTION, DO_NOT_RUN, SAFE, Advice
 from emps_design.errors import printable
 from emps_design.report.style import labelled, svg
 from emps_design.units import LINEAR, Units
-from emps_design.view import Html as Html, Table as Table
+from emps_design.view import Html as Html, Line as Line, Table as Table
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
+    from jinja2 import Template
     from matplotlib.figure import Figure
-
-CALLOUTS = ("stop", "warning", "note", "good")
 
 PACKAGES = ("emps-design", "numpy", "scipy", "control", "sympy", "matplotlib")
 
-LEVELS = {SAFE: ("good", "Safe."), CAUTION: ("warning", "Caution."), DO_NOT_RUN: ("stop", "Do not run this.")}
+LEVELS = {SAFE: ("good", "Safe."), CAUTION: ("warning", "Caution."), DO_NOT_RUN: ("bad", "Do not run this.")}
 
 NOTHING = "—"
 
@@ -66,48 +66,19 @@ def html(template: str, *values: Any) -> Html:
 
 
 @dataclass(frozen=True)
-class Text:
-    """A paragraph, or several."""
-
-    paragraphs: tuple[str, ...]
-    kind: str = field(default="text", init=False)
-
-    def __init__(self, *paragraphs: str):
-        object.__setattr__(self, "paragraphs", paragraphs)
-
-
-@dataclass(frozen=True)
-class Points:
-    """A list of short statements."""
-
-    items: tuple[str, ...]
-    kind: str = field(default="points", init=False)
-
-    def __init__(self, items: Iterable[str]):
-        object.__setattr__(self, "items", tuple(items))
-
-
-@dataclass(frozen=True)
 class Facts:
     """The main numbers of the page in large type: (label, value, remark) each."""
 
     items: tuple[tuple[str, str, str], ...]
-    kind: str = field(default="facts", init=False)
 
-
-@dataclass(frozen=True)
-class Callout:
-    """A boxed message: ``stop`` (an unstable loop), ``warning``, ``note`` or ``good``; ``items`` become a list."""
-
-    level: str
-    title: str
-    body: str = ""
-    items: tuple[str, ...] = ()
-    kind: str = field(default="callout", init=False)
-
-    def __post_init__(self) -> None:
-        if self.level not in CALLOUTS:
-            raise ValueError(f"callout level: found {self.level!r}, expected one of {', '.join(CALLOUTS)}")
+    def html(self) -> str:
+        """The facts as HTML."""
+        facts = []
+        for fact in self.items:
+            label, value, remark = map(inline, fact)
+            small = f"<small>{remark}</small>" if remark else ""
+            facts.append(f"<div><dt>{label}</dt><dd>{value}{small}</dd></div>")
+        return f'<dl class="facts">{"".join(facts)}</dl>'
 
 
 @dataclass(frozen=True)
@@ -117,22 +88,21 @@ class Picture:
     figure: Figure
     caption: str
     title: str = ""
-    kind: str = field(default="picture", init=False)
+
+    def html(self, units: Units, counted: str = "") -> str:
+        """The picture as HTML in ``units``; ``counted``, such as Figure 2, stands before its title."""
+        drawing = svg(labelled(self.figure, units), counted.replace("Figure ", "f"))
+        label = escape(re.sub(r"<[^>]+>", "", inline(self.title or self.caption)), quote=True)
+        drawing = drawing.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
+        title = " ".join(f"{words}." for words in (counted, inline(self.title)) if words)
+        caption = f"<figcaption><b>{title}</b> {inline(self.caption)}</figcaption>"
+        return f'<figure class="picture">\n{drawing}\n{caption}\n</figure>'
 
     def _repr_html_(self) -> str:
-        return f"{svg(self.figure)}<p><b>{inline(self.title)}</b> {inline(self.caption)}</p>"
+        return self.html(LINEAR)
 
 
-@dataclass(frozen=True)
-class Listing:
-    """Lines of a program or an equation, shown unchanged."""
-
-    text: str
-    caption: str = ""
-    kind: str = field(default="listing", init=False)
-
-
-Block = Text | Points | Facts | Callout | Table | Picture | Listing
+Block = Line | Table | Facts | Picture
 
 
 @dataclass(frozen=True)
@@ -158,9 +128,9 @@ class Page:
 
     Its text is in the units of the axis where it is made; ``units`` are those of the labels in its pictures.
 
-    >>> page = Page("Velocity loop", "emps2018", (Callout("good", "Meets the specification"),),
+    >>> page = Page("Velocity loop", "emps2018", (Line("meets the specification", "good"),),
     ...             (Section("Gains", Table(["gain", "value"], [["k", 1.5]])),))
-    >>> "Meets the specification" in page.html() and page.html() == page.html()
+    >>> "meets the specification" in page.html() and page.html() == page.html()
     True
     """
 
@@ -168,12 +138,16 @@ class Page:
     subtitle: str
     summary: tuple[Block, ...]
     sections: tuple[Section, ...]
-    footer: str = ""
     units: Units = field(default_factory=Units)
 
     def html(self) -> str:
         """Return the document as HTML text."""
-        return _environment().get_template("page.html.j2").render(page=self, counter=_Counter())
+        numbers = Numbered(self.units)
+        parts = [("summary", "Summary", self.summary)] if self.summary else []
+        parts += [(section.key, section.title, section.blocks) for section in self.sections]
+        rendered = [(key, inline(title), numbers.html(blocks)) for key, title, blocks in parts]
+        title, subtitle = inline(self.title), inline(self.subtitle)
+        return _template().render(title=title, subtitle=subtitle, sections=rendered)
 
     def pictures(self) -> tuple[Picture, ...]:
         """Return every picture of the page in order, its labels in the units of the axis."""
@@ -190,44 +164,38 @@ class Page:
         )
 
 
-class _Counter:
-    """Numbers figures and tables through one rendering."""
+class Numbered:
+    """Renders blocks as HTML in ``units``, and numbers their pictures and tables."""
 
-    def __init__(self) -> None:
-        self.count = {"figure": 0, "table": 0}
+    def __init__(self, units: Units):
+        self.units = units
+        self._pictures, self._tables = count(1), count(1)
 
-    def next(self, kind: str) -> int:
-        self.count[kind] += 1
-        return self.count[kind]
+    def html(self, blocks: Iterable[Block]) -> str:
+        """``blocks`` as HTML, without a page around them."""
+        return view.html(blocks, self._block)
 
-
-def _drawing(picture: Picture, index: int, units: Units) -> str:
-    drawing = svg(labelled(picture.figure, units), f"f{index}")
-    label = escape(re.sub(r"<[^>]+>", "", inline(picture.title or picture.caption)), quote=True)
-    return drawing.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, str):
-        return bool(re.match(r"^[−+<≤>≥ ]*[0-9]", value)) or value == NOTHING
-    return value is None or (not isinstance(value, bool) and not isinstance(value, Html))
+    def _block(self, block: Facts | Table | Picture) -> str:
+        if isinstance(block, Picture):
+            return block.html(self.units, f"Figure {next(self._pictures)}")
+        if isinstance(block, Facts):
+            return block.html()
+        counted = f"Table {next(self._tables)}" if block.title else ""
+        return f'<div class="scroll">{view.table_html(block, counted)}</div>'
 
 
 @cache
-def _environment() -> Environment:
+def _template() -> Template:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
         loader=PackageLoader("emps_design.report"),
-        autoescape=False,  # every value passes the filter ``inline``, which escapes all but Html
+        autoescape=False,  # what it gets is HTML
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["inline"] = inline
-    environment.globals["drawing"] = _drawing
-    environment.tests["numeric"] = _is_number
-    return environment
+    return environment.get_template("page.html.j2")
 
 
 def versions() -> str:
@@ -242,11 +210,11 @@ def inputs_table(inputs: Mapping[str, str | None]) -> Table:
     return Table(["input", "SHA-256"], rows, "Every input of this page; the same inputs give the same bytes.")
 
 
-def advice_callout(advice: Advice, units: Units) -> Callout:
-    """Return the box with the advice on a result of an axis with ``units``."""
+def advice_line(advice: Advice) -> Line:
+    """Return the advice on a result, and what to do next, as a line."""
     level, title = LEVELS[advice.level]
-    further = (html("Next: <code>{}</code>", advice.next),) if advice.next else ()
-    return Callout(level, title, sentence_of(advice.text), further)
+    further = html(" Next: <code>{}</code>", advice.next) if advice.next else ""
+    return Line(html("<b>{}</b> {}{}", title, sentence_of(advice.text), further), level)
 
 
 def _known(value: float | None) -> TypeGuard[float]:

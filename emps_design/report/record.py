@@ -1,28 +1,23 @@
-"""Sections, blocks and pictures about a record: its signals, identified parameters, observed force, and control law.
-
-The page of an import shows which column was read as what.
+"""Sections and pictures about a record: its signals, identified parameters, and observed force.
 
 Pictures of a motion in closed loop with its tracking error and command, and of the effect of a feed-forward.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.importing.account import HEADINGS, Account
+from emps_design.records import Record
 from emps_design.report.page import (
     NOTHING,
-    Callout,
-    Listing,
+    Line,
     Page,
     Picture,
     Section,
     Table,
-    Text,
     number,
     quantity,
     words,
@@ -35,10 +30,9 @@ if TYPE_CHECKING:
 
     from emps_design.axis import Axis
     from emps_design.compensation import Compensation
-    from emps_design.identification.controller import LawEstimate
     from emps_design.identification.identify import Identification
     from emps_design.identification.observation import Observation
-    from emps_design.records import Record
+    from emps_design.importing.account import Account
     from emps_design.simulation.scenarios import Followed
 
 _COLORS = {"offline": BLUE, "online": RED, "kalman": GREEN}
@@ -107,39 +101,53 @@ def _window(t: np.ndarray, force: np.ndarray) -> tuple[float, float]:
 
 def record_section(record: Record, identifications: Sequence[Identification], axis: Axis) -> Section:
     """Return the section on ``record`` with all ``identifications`` on it, compared with ``axis``."""
-    first = identifications[0]
-    warnings = tuple(dict.fromkeys(warning for each in identifications for warning in each.warnings))
+    warnings = dict.fromkeys(warning for each in identifications for warning in each.warnings)
     return Section(
         f"Record {record.name}",
-        Text(
-            f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all. "
-            f"Filter {first.chain}: {first.filter_text}."
-        ),
+        Line(in_words(record)),
         Picture(
             record_figure(record, axis.units),
             f"Position on the load side and the {axis.units.word('voltage')} that the drive was given.",
             "Record",
         ),
-        *(_parameters_table(identification, axis) for identification in identifications),
-        _quality_table(identifications, axis.units),
-        _force_picture(first, axis.units),
-        _warnings(warnings, axis.units),
+        *(part for each in identifications for part in (*each.view(), _comparison(each, axis))),
+        _force_picture(identifications[0], axis.units),
+        *(Line(warning, "note") for warning in warnings),
     )
 
 
 def identification_blocks(identification: Identification, axis: Axis) -> tuple[Any, ...]:
-    """Return tables, picture and warnings of one identification, compared with ``axis``."""
+    """Return view, picture and warnings of one identification, compared with ``axis``."""
     return (
-        _parameters_table(identification, axis),
-        _quality_table((identification,), axis.units),
+        *identification.view(),
+        _comparison(identification, axis),
         _force_picture(identification, axis.units),
-        _warnings(identification.warnings, axis.units),
+        *(Line(warning, "note") for warning in identification.warnings),
     )
 
 
-def _warnings(warnings: Sequence[str], units: Units) -> Callout | None:
-    items = tuple(warnings)
-    return Callout("warning", "What the record says about itself", items=items) if items else None
+def in_words(record: Record) -> str:
+    """Return the length of ``record`` in words.
+
+    >>> import numpy as np
+    >>> in_words(Record.from_arrays(1e-3, *np.zeros((3, 2001))))
+    '2001 samples of 1.000 ms, 2.00 s in all'
+    """
+    return f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all"
+
+
+def _comparison(identification: Identification, axis: Axis) -> Table:
+    """The 95 % interval of each parameter, and the number of the axis file."""
+    known, units = axis.mechanics.parameters, axis.units
+    rows: list[list[Any]] = []
+    for name, estimate in identification.parameters.items():
+        interval = "not determined"
+        if estimate.interval_95 is not None:
+            interval = " to ".join(map(number, estimate.interval_95))
+        own = number(known[name], 6) if name in known else NOTHING
+        rows.append([units.words(words(name)), interval, own, units.unit(estimate.quantity.unit)])
+    title = f"The {identification.model} model beside the axis file; believe the interval, not the deviation by (15)"
+    return Table(["parameter", "95 % interval", f"axis {axis.name}", "unit"], rows, title)
 
 
 def _force_picture(identification: Identification, units: Units) -> Picture:
@@ -154,73 +162,14 @@ def _force_picture(identification: Identification, units: Units) -> Picture:
     )
 
 
-def _parameters_table(identification: Identification, axis: Axis) -> Table:
-    known, units = axis.mechanics.parameters, axis.units
-    rows: list[list[Any]] = []
-    for name, estimate in identification.parameters.items():
-        label, unit = units.words(words(name)), units.unit(estimate.quantity.unit)
-        if estimate.interval_95 is None:
-            rows.append([label, unit, "not determined", NOTHING, NOTHING, NOTHING, known.get(name)])
-            continue
-        low, high = estimate.interval_95
-        rows.append(
-            [
-                label,
-                unit,
-                number(estimate.value, 6),
-                number(estimate.std, 3),
-                f"{estimate.relative_std_percent:.2f} %" if estimate.relative_std_percent is not None else NOTHING,
-                f"{number(low)} to {number(high)}",
-                number(known[name], 6) if name in known else NOTHING,
-            ]
-        )
-    proposed = f"; proposed by the record: {', '.join(identification.proposed)}" if identification.proposed else ""
-    return Table(
-        ["parameter", "unit", "value", "std, (15)", "relative std, (16)", "95 % interval", f"axis {axis.name}"],
-        rows,
-        f"Identified parameters, {identification.model} model{proposed}. Std by (15) counts "
-        "every sample as independent; the interval allows for the correlation of the residual and is the one to "
-        "believe.",
-    )
-
-
-def _quality_table(identifications: Sequence[Identification], units: Units) -> Table:
-    force, error = units.word("force"), units.unit("N")
-
-    def share(percent: float) -> str:
-        return f"{percent:.2f} %" if math.isfinite(percent) else NOTHING
-
-    return Table(
-        ["model", f"{force} error [{error} rms]", f"of the {force}", "condition number", "rows", "independent rows"],
-        [
-            [
-                identification.model,
-                number(identification.rms_error),
-                share(identification.relative_error_percent),
-                number(identification.condition_number, 3),
-                identification.samples,
-                str(round(identification.residual.effective_samples)),
-            ]
-            for identification in identifications
-        ],
-        f"How well each model explains the {force}.",
-    )
-
-
 def import_page(account: Account) -> Page:
     """Return the page on an import: the columns as they were read, and a picture of the record."""
     record, units = account.record, account.axis.units
-    warnings = tuple(account.notes)
-    notes = Callout("warning", "What was done and noticed", items=warnings)
     section = Section(
         f"Record {record.name}",
-        Text(
-            f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all, "
-            f"read for the axis {account.axis.name}."
-        ),
-        Table(HEADINGS, account.rows),
+        *account.view(),
         Picture(record_figure(record, units), "The record as it was read.", "Record"),
-        notes if warnings else None,
+        *(Line(note, "note") for note in account.notes),
     )
     return Page(f"Import of {record.name}", "", (), (section,), units=units)
 
@@ -246,20 +195,10 @@ def observation_figure(observation: Observation) -> Figure:
     return figure
 
 
-def observation_blocks(observation: Observation, units: Units) -> tuple[Any, ...]:
-    """Return picture, table and warnings of an observation in the ``units`` of its axis."""
+def observation_blocks(observation: Observation) -> tuple[Any, ...]:
+    """Return picture, view and warnings of an observation."""
+    units = observation.units
     force = units.word("force")
-    rows = [
-        [
-            name,
-            quantity(method.rms_error, "N", 4, units),
-            quantity(method.delay, "s"),
-            quantity(method.smallest.value, "N", 4, units),
-            method.smallest.bound.replace("_", " "),
-        ]
-        for name, method in observation.methods.items()
-    ]
-    warnings = tuple(observation.warnings)
     return (
         Picture(
             observation_figure(observation),
@@ -267,37 +206,8 @@ def observation_blocks(observation: Observation, units: Units) -> tuple[Any, ...
             f"grey band a {force} cannot be told from the errors of model and noise.",
             f"Observed external {force}",
         ),
-        Table(
-            ["method", "rms error", "delay", f"smallest observable {force}", "what bounds it"],
-            rows,
-            f"Observers on {observation.record} with the axis {observation.axis}.",
-        ),
-        Callout("warning", "To read with the numbers", items=warnings) if warnings else None,
-    )
-
-
-def law_blocks(estimate: LawEstimate, units: Units) -> tuple[Any, ...]:
-    """Return the blocks of a page about a control law in ``units``: verdict, table, deviations, residual, notes."""
-    reason, notes = estimate.reason, list(estimate.notes)
-    if estimate.controller is None:
-        if estimate.closest:
-            near = f"The closest law, which is not the machine's: {estimate.closest_in_words}."
-            notes.insert(0, near)
-        return (Callout("warning", f"{estimate.verdict}: {reason}."), *map(Text, notes))
-    numbers = estimate.numbers
-    rows = [[name, value, std, f"{abs(100.0 * std / value):.2g} %" if value else ""] for name, value, std in numbers]
-    residual = []
-    if estimate.residual_rms is not None and estimate.residual_share is not None:
-        rms = f"{estimate.residual_rms:.4g} {estimate.command_unit} rms"
-        share = f"{100.0 * estimate.residual_share:.3g} % of the command's deviation"
-        residual.append(Text(f"The law leaves {rms} of the command, {share}."))
-    words = f"{estimate.verdict}{f', {reason}' if reason else ''}."
-    return (
-        Callout("good" if estimate.verdict == "told" else "warning", words),
-        Listing(estimate.to_toml()),
-        Table(["number", "value", "standard deviation", ""], rows, "Numbers of the controller, as in the axis file."),
-        *residual,
-        *map(Text, notes),
+        *observation.view(),
+        *(Line(warning, "note") for warning in observation.warnings),
     )
 
 

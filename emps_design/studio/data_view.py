@@ -20,10 +20,11 @@ from emps_design.progress import of_part
 from emps_design.records import Record
 from emps_design.records.columns import factor_of, meanings, title_unit
 from emps_design.records.layout import KEYS, NAMED, Assignment, Column, ColumnMap
-from emps_design.report.page import LEVELS, inline, quantity, sentence_of
+from emps_design.report.page import LEVELS, Line, Numbered, inline, quantity, sentence_of
 from emps_design.studio.panes import AxisFile, Job, blocks, html, judgement, message
 from emps_design.studio.state import FRICTIONS, State
 from emps_design.units import Units
+from emps_design.view import typeset
 
 Options = dict[str, Any]  # choices of the tab: friction and filter of Identify, model of Diagnose, held-out record
 NAMED_MODEL, CLOSEST_MODEL = "named", "closest"
@@ -58,15 +59,6 @@ To practise, <code>emps-design init start</code> writes three.</p>
 """
 
 
-def _blocks(units: Units, *blocks: Any) -> str:
-    """Return blocks of a report page as HTML in ``units``, without the page around them."""
-    from emps_design.report import Page, Section
-
-    text = Page("", "", (), (Section("Result", *blocks),), units=units).html()
-    start = text.index("</h2>", text.index('<section id="result">')) + len("</h2>")
-    return text[start : text.index("</section>", start)]
-
-
 def _advice(name: str, document: dict[str, Any], record: Record, axis: Axis) -> Advice:
     """Return the advice on the ``document`` that the command ``name`` makes of ``record``."""
     return advise(name, document, axis=axis.name, records=[record.name], units=axis.units)
@@ -86,14 +78,15 @@ def identify_work(record: Record, axis: Axis, options: Options, progress: Callab
         f"{units.words(name.replace('_', ' '))} {quantity(e.value, e.quantity.unit, units=units)}"
         for name, e in estimates.items()
     )
-    judged = identification.extra["held_out"]
-    error, on_held_out = (quantity(e, "N", units=units) for e in (identification.rms_error, judged["rms_error"]))
-    judged_on = f", {on_held_out} on {judged['on']}" if options.get("held_out") else ""
+    error, judged_on = quantity(identification.rms_error, "N", units=units), ""
+    if options.get("held_out"):
+        judged = identification.extra["held_out"]
+        judged_on = f", {quantity(judged['rms_error'], 'N', units=units)} on {judged['on']}"
     complete = all(estimate.determined for estimate in estimates.values())
     name = f"{axis.name.split(' from ')[0]} from {record.name}"
     return {
         "text": f"Identified: {values}; {units.word('force')} error {error} rms{judged_on}.",
-        "html": _blocks(axis.units, *identification_blocks(identification, axis)),
+        "html": Numbered(axis.units).html(identification_blocks(identification, axis)),
         "model": identification.to_axis(name=name) if complete else None,
         "advice": _advice("identify", identification.to_dict(), record, axis),
     }
@@ -112,7 +105,7 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     return {
         "text": f"Observed with {axis.name}: {units.word('forces')} below {quantity(least, 'N', 3, units)} cannot be "
         "told from errors.",
-        "html": _blocks(units, *observation_blocks(observation, units)),
+        "html": Numbered(units).html(observation_blocks(observation)),
         "advice": _advice("observe", observation.to_dict(), record, axis),
     }
 
@@ -120,7 +113,6 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
 def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Find the controller that made ``record``; return the section about it, and ``axis`` with it if it is found."""
     from emps_design.identification.controller import identify_law
-    from emps_design.report.record import law_blocks
 
     progress("trying structures", 0.2)
     law = identify_law(record, axis.units)
@@ -128,7 +120,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
     table, name = law.controller, f"{axis.name.split(' with the law')[0]} with the law of {record.name}"
     return {
         "text": f"Law {law.verdict}: {law.in_words or law.reason}.",
-        "html": _blocks(axis.units, *law_blocks(law, axis.units)),
+        "html": Numbered(axis.units).html(law.view()),
         "model": None if table is None else Axis.from_dict({**axis.to_dict(), "controller": table, "name": name}, name),
         "advice": _advice("law", law.to_dict(), record, axis),
     }
@@ -137,7 +129,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
 def response_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Estimate the frequency response of ``record``; return it beside the model's, and the axis that fits it."""
     from emps_design.frequency_response import estimate_response
-    from emps_design.report.loop_figures import response_blocks
+    from emps_design.report.loop_figures import response_picture
 
     estimate = estimate_response(record, axis, progress=of_part(progress, 0.0, 0.5))
     progress("fitting", 0.6)
@@ -145,9 +137,11 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
     chain = comparison.chain
     lines, sentence = len(estimate.response), comparison.agreement.sentence
     progress("drawing", 0.8)
+    warnings = [Line(warning, "note") for warning in estimate.all_warnings]
+    shown = (response_picture(comparison, estimate.spectral_ratio), *estimate.view(), *warnings)
     return {
         "text": f"Response at {lines} lines by the {estimate.instrument}: {sentence}.",
-        "html": _blocks(axis.units, *response_blocks(comparison, estimate.spectral_ratio)),
+        "html": Numbered(axis.units).html(shown),
         "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
         "advice": _advice("frf", estimate.to_dict(), record, axis),
     }
@@ -156,7 +150,7 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
 def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
     """Find where ``record`` and ``axis`` disagree; return the blocks of the page and the model chosen in the tab."""
     from emps_design.discrepancy import diagnose
-    from emps_design.report.diagnosis import diagnosis_page, typeset
+    from emps_design.report.diagnosis import diagnosis_page
 
     diagnosis = diagnose(
         record,
@@ -172,7 +166,7 @@ def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callab
     document = diagnosis.to_dict()
     return {
         "text": typeset(document.get("sentence", document["verdict"])),
-        "html": _blocks(axis.units, *shown),
+        "html": Numbered(axis.units).html(shown),
         "model": model.replace(name=f"{axis.name} diagnosed on {record.name}"),
         "advice": _advice("diagnose", document, record, axis),
     }
@@ -307,7 +301,7 @@ class DataView:
         self.drop.param.watch(self._dropped, "value")
         self.second = _dropper("Second record, held out: Identify and Diagnose are tried on it")
         self.second.param.watch(self._second_dropped, "value")
-        self.file = AxisFile(self._axis_opened, lambda text: self._say(text, "stop"))
+        self.file = AxisFile(self._axis_opened, lambda text: self._say(text, "bad"))
         self.machine = pn.widgets.Select(
             label="Axis of the record", options=list(machines()), value=axis_name, width=230, margin=(4, 6)
         )
@@ -384,7 +378,7 @@ class DataView:
         if self.record is not None:
             self._show(self.record)
         if refused:
-            self._say(refused, "stop")
+            self._say(refused, "bad")
 
     def _read_second(self) -> str:
         """Read the held-out record like the first one; return why it is refused, or ""."""
@@ -423,10 +417,10 @@ class DataView:
             refused = self._read_second()
             self._show(record)
             if refused:
-                self._say(refused, "stop")
+                self._say(refused, "bad")
         except EmpsError as error:
             self._withdraw()
-            self._say(str(error), "stop")
+            self._say(str(error), "bad")
         plain = bool(assigned) and all(assignment.how == NAMED for assignment in assigned)
         titles = [] if plain else upload_titles(name, content)
         if not titles:
@@ -474,7 +468,7 @@ class DataView:
 
     def _show(self, record: Record) -> None:
         from emps_design.report import style
-        from emps_design.report.record import record_figure
+        from emps_design.report.record import in_words, record_figure
 
         self.job.stop()
         self.record, self.model = record, None
@@ -484,10 +478,7 @@ class DataView:
             button.disabled = False
         records = [record, *([] if self.held_out is None else [self.held_out])]
         notes = "".join(f"<br>{inline(warning)}" for shown in records for warning in shown.warnings)
-        summary = "; held out ".join(
-            f"{r.name}: {len(r)} samples of {quantity(r.period, 's')}, {quantity(r.duration, 's', 3)} in all"
-            for r in records
-        )
+        summary = "; held out ".join(f"{shown.name}: {in_words(shown)}" for shown in records)
         self._say(summary, "warning" if notes else "good", notes)
         self.about.object = f'<div class="record">{style.svg(record_figure(record, self._axis.units), "record")}</div>'
         self.result.object = ""
@@ -526,7 +517,7 @@ class DataView:
             self.job.start(lambda progress: work(record, axis, options, progress), *outcome)
 
     def _failed(self, message: str) -> None:
-        self._say(message, "stop")
+        self._say(message, "bad")
 
     def _done(self, outcome: dict[str, Any]) -> None:
         advice, summary = outcome["advice"], inline(outcome["text"])

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import panel as pn
 
+from emps_design.advice import advise
 from emps_design.errors import EmpsError
-from emps_design.report.page import angle, delay, html as markup, number, quantity, ratio, sentence_of
+from emps_design.report.page import LEVELS, angle, delay, html as markup, number, quantity, ratio, sentence_of
 from emps_design.studio.controls import FilterRows, Knob
-from emps_design.studio.panes import AxisFile, bold, html, message, table
+from emps_design.studio.panes import AxisFile, bold, html, judgement, message, table
 from emps_design.studio.plots import LoopPlots, PlanePlot, feasible, plane
 from emps_design.studio.ranges import requirements
 from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, differences_in_words, taken_for
@@ -94,19 +95,12 @@ def _requirements(state: State, design: VelocityLoopDesign) -> str:
 
 def verdict_message(design: VelocityLoopDesign) -> str:
     """Return the advice on ``design`` as HTML, by the worst loop that will run."""
-    from emps_design.advice.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG
-    from emps_design.control.sampled import loop_in_words, margins_in_words, safety
     from emps_design.control.verdict import DesignVerdict
 
-    worst = DesignVerdict(design).worst
-    name = f"the worst loop that will run, the {loop_in_words(worst, design.axis.units)},"
-    if not worst.margins.stable:
-        return message(f"Do not run: {name} is unstable.", "stop")
-    has = f"{name} has {margins_in_words(worst.margins)}"
-    if safety(worst.margins) >= 1.0:
-        return message(f"Safe: {has}.", "good")
-    safe = f"{SAFE_PHASE_MARGIN_DEG:g} deg and a gain margin of {SAFE_GAIN_MARGIN:g}"
-    return message(f"Caution: {has}; a safe one has {safe}.", "warning")
+    verdict = DesignVerdict(design)
+    document = {"reason": verdict.reason, "worst_loop": verdict.worst.to_dict(), "warnings": design.warnings}
+    advice = advise("gains", document, units=design.axis.units)
+    return judgement(sentence_of(advice.text), LEVELS[advice.level][0])
 
 
 def laws_table(state: State, design: VelocityLoopDesign) -> str:
@@ -308,7 +302,7 @@ class DesignView:
         self._changed(self.state)
 
     def _refuse(self, text: str) -> None:
-        self._say(text, "stop")
+        self._say(text, "bad")
 
     def _show_pinned(self, note: str = "") -> None:
         """Draw the pinned design as grey lines, or remove them."""
@@ -402,7 +396,7 @@ class DesignView:
         self.design = velocity_design(self.state)
         self.verdict.object = verdict_message(self.design)
         refused = f"{sentence_of(self.design.refused)} " if self.design.refused else ""
-        self._say(f"{refused}{note} {notes}".strip(), "note" if reached and not refused else "stop")
+        self._say(f"{refused}{note} {notes}".strip(), "note" if reached and not refused else "bad")
         state = self.state
         self.plots.update(self.design, state.place)
         self.plots.require(state.required_phase_deg, state.required_overshoot_percent)

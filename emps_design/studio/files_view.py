@@ -249,7 +249,7 @@ class FilesView:
         return BytesIO(data)
 
     def _refuse(self, text: str) -> None:
-        self._say(text, "stop")
+        self._say(text, "bad")
 
     def _load(self, event: Any) -> None:
         if not event.new:

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import panel as pn
 
+from emps_design import view
 from emps_design.advice import SAFE, advise
 from emps_design.axis import Axis
 from emps_design.compensation import Compensation, compensate
 from emps_design.compensation.feedforward import terms_of
-from emps_design.compensation.study import ON_ERROR
 from emps_design.errors import EmpsError, InputError
 from emps_design.progress import Progress
 from emps_design.records import Record
@@ -83,7 +83,7 @@ class MotionRuns:
         clipped = document["saturated_share"]
         text = f"{text}; at the limit of the command {100.0 * clipped:.3g} %."
         if not self.loop.stable:
-            return "stop", f"The cascade of this design is unstable. {text}"
+            return "bad", f"The cascade of this design is unstable. {text}"
         own_error = {} if own is None else own.to_dict()["tracking_error"]
         worse = any(error[name] > own_error[name] for name in ("rms", "largest") if own_error)
         if worse:
@@ -246,7 +246,7 @@ class MotionView:
         self._of, self._along = state, record
 
         def failed(text: str) -> None:
-            self.message.object = message(text, "stop")
+            self.message.object = message(text, "bad")
 
         def done(motion_runs: MotionRuns) -> None:
             if self._of is state:
@@ -344,7 +344,7 @@ class CompensationView:
         try:
             axis = self._chosen(state)
         except EmpsError as error:
-            self._say(str(error), "stop")
+            self._say(str(error), "bad")
             return
 
         def work(progress: Progress) -> Compensation:
@@ -355,30 +355,17 @@ class CompensationView:
             if (self._axis, tuple(self.terms.value)) == (state.axis, terms):
                 self._done(compensation)
 
-        self.job.start(work, done, lambda text: self._say(text, "stop"))
+        self.job.start(work, done, lambda text: self._say(text, "bad"))
 
     def _done(self, compensation: Compensation) -> None:
         self.compensation, self.download.disabled = compensation, False
         units = compensation.axis.units
-        ratio = compensation.without / compensation.achieved if compensation.achieved > 0.0 else float("inf")
-        more: list[str] = [message for message in compensation.warnings if message.code != "not-compensated"]
-        more += [f"{ON_ERROR.capitalize()}."] * bool(compensation.feedforward.terms)
+        warnings = [message for message in compensation.warnings if message.code != "not-compensated"]
         advice = advise("compensate", compensation.to_dict(), units=units)
-        text = (
-            f"Tracking error rms {compensation.without:.3g} {compensation.unit} without, {compensation.achieved:.3g} "
-            f"with what is kept ({ratio:,.0f} times less), {compensation.worst:.3g} with every parameter wrong; "
-            f"controller: {self.controller.value}, {compensation.axis.controller.kind.replace('_', ' ')}."
-        )
-        lines = (text, *more, *(remedy["advice"] for remedy in compensation.feedback))
-        shown = "".join(f"<br>{inline(line)}" for line in lines)
+        controller = f"Controller: {self.controller.value}, {compensation.axis.controller.kind.replace('_', ' ')}."
+        shown = "".join(f"<br>{inline(line)}" for line in (controller, *warnings))
         self.message.object = judgement(sentence_of(advice.text), LEVELS[advice.level][0], shown)
-        headings = ("term", f"alone [{compensation.unit}]", "all but it", "all, it wrong", "")
-        rows = [
-            (term.name.replace("_", " "), *map(_written, (term.alone, term.left_out, term.worst)),
-             term.note if term.kept else f"left out: {term.note}")
-            for term in compensation.terms
-        ]  # fmt: skip
-        self.table.object = table(headings, rows)
+        self.table.object = view.html(compensation.view())
         self.picture.object = svg(labelled(tracking_figure(compensation), units), "tracking")
 
     def _folder(self) -> BytesIO:
@@ -387,13 +374,9 @@ class CompensationView:
                 raise EmpsError("nothing was tried yet")
             data = drive_zip(self.compensation)
         except EmpsError as error:
-            self._say(str(error), "stop")
+            self._say(str(error), "bad")
             raise
         return BytesIO(data)
 
     def _say(self, text: str, level: str, more: str = "") -> None:
         self.message.object = message(text, level, more)
-
-
-def _written(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"

@@ -26,7 +26,7 @@ from emps_design.view import Cell, Html
 
 STYLE = """
 .message { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
-.message.stop { border-color: #b3261e; background: #fdecea; }
+.message.bad { border-color: #b3261e; background: #fdecea; }
 .message.good { border-color: #009e73; background: #e9f7f2; }
 .message.warning { border-color: #e69f00; background: #fff8e6; }
 table { border-collapse: collapse; font-size: 12.5px; font-variant-numeric: tabular-nums; }
@@ -56,16 +56,16 @@ def html(text: str = "", **options: Any) -> pn.pane.HTML:
 
 
 def message(text: str, level: str, more: str = "") -> str:
-    """Return ``text`` as the HTML of a message; screen readers read level ``stop`` at once; ``more`` is HTML."""
-    role = "alert" if level == "stop" else "status"
+    """Return ``text`` as the HTML of a message; screen readers read level ``bad`` at once; ``more`` is HTML."""
+    role = "alert" if level == "bad" else "status"
     return f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
 
 
 def judgement(text: str, level: str, more: str = "") -> str:
     """Return the message on a result as HTML: what to do with it, then the reason ``text``.
 
-    >>> judgement("The loop is unstable.", "stop")
-    '<div class="message stop" role="alert"><b>Do not run this.</b> The loop is unstable.</div>'
+    >>> judgement("The loop is unstable.", "bad")
+    '<div class="message bad" role="alert"><b>Do not run this.</b> The loop is unstable.</div>'
     """
     title = dict(LEVELS.values())[level]
     return message("", level, f"<b>{title}</b> {inline(text)}{more}")
@@ -77,7 +77,7 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
     >>> table(("", "mass"), [("found", "2 kg")])
     '<table><thead><tr><th></th><th>mass</th></tr></thead><tbody><tr><th>found</th><td>2 kg</td></tr></tbody></table>'
     """
-    return view.html((view.Table(headings, rows, words=headings, row_headings=True),))
+    return view.html((view.Table(headings, rows, words=headings),))
 
 
 def bold(text: str, kind: str = "") -> Html:

@@ -69,10 +69,10 @@ class Simulated:
             f"the worst of {self.study.corners} corners and {state.plants} random plants is {self._worst_in_words}."
         )
         if self.wall.verdict not in ("bouncing", "unstable") and self.wall_poles_stable:
-            creeps = "warning" if worst in ("creeping", "no_motion") else "stop"
+            creeps = "warning" if worst in ("creeping", "no_motion") else "bad"
             return ("good" if worst in ("stable", "dead_band") else creeps), text
         poles = "" if self.wall_poles_stable else ", where the poles of the loop are unstable"
-        return "stop", f"{text} Pushed into the wall of {self._stiffness} it is {self.wall.verdict}{poles}."
+        return "bad", f"{text} Pushed into the wall of {self._stiffness} it is {self.wall.verdict}{poles}."
 
     @property
     def _stiffness(self) -> str:
@@ -243,7 +243,7 @@ class SimulationView:
         self.job.start(lambda progress: simulate(state, progress), self._done, self._failed)
 
     def _failed(self, text: str) -> None:
-        self.message.object = message(text, "stop")
+        self.message.object = message(text, "bad")
 
     def _done(self, simulated: Simulated) -> None:
         if simulated.state is not self._of:

@@ -22,9 +22,10 @@ from emps_design.errors import EmpsError, InputError, RecordError, one_line
 from emps_design.files import destination, write_text
 from emps_design.machines import machine
 from emps_design.records import Record, read_record
-from emps_design.report.page import Callout, Facts, Page, Picture, Points, Section, Table, Text
+from emps_design.report.page import Facts, Line, Page, Picture, Section, Table
 from emps_design.report.style import subplots
 from emps_design.simulation.synthetic import read_reference
+from emps_design.view import LINES
 from tests.property.fuzzing import fuzz
 
 STATUSES = (0, 2, 3, 4)
@@ -206,8 +207,8 @@ class Tags(html.parser.HTMLParser):
 
 
 def page(text):
-    blocks = (Text(text), Points([text]), Facts(((text, text, text),)), Callout("note", text, text, (text,)))
-    return Page(text, text, blocks, (Section(text, Table([text], [[text]], text)),), text).html()
+    blocks = (Facts(((text, text, text),)), *(Line(text, style) for style in LINES))
+    return Page(text, text, blocks, (Section(text, Table([text], [[text]], text)),)).html()
 
 
 PLAIN = Tags(page("plain")).found

@@ -21,32 +21,32 @@ def record():
 def test_an_axis_with_its_effects():
     html = RIPPLED._repr_html_()
     assert html.startswith("<table><caption>emps2019</caption>")
-    assert '<td>mechanics</td><td>mass</td><td class="number">95.109</td><td>kg</td>' in html
-    assert '<td>position_ripple</td><td>period</td><td class="number">0.0025</td><td>m</td>' in html
+    assert '<th>mechanics.mass</th><td class="number">95.109</td><td>kg</td>' in html
+    assert '<th>position_ripple.period</th><td class="number">0.0025</td><td>m</td>' in html
     assert "None" not in html
 
 
 def test_a_record_and_what_is_found_in_it(record):
-    assert "<td>stroke</td>" in record._repr_html_()
+    assert "<th>stroke</th>" in record._repr_html_()
     assert "<td>kg</td>" in ed.identify(record, AXIS)._repr_html_()
     observed = ed.observe(record, AXIS)._repr_html_()
     assert "Smallest observable force [N]" in observed
     assert "<td>break-away</td>" in observed
     found = replay(AXIS, record)
-    assert "<td>force</td>" in found._repr_html_()
-    assert "<td>largest speed</td>" in found.run._repr_html_()
+    assert "<th>force</th>" in found._repr_html_()
+    assert "<th>largest speed</th>" in found.run._repr_html_()
 
 
 def test_designs_and_their_margins():
     design = ed.design_velocity_loop(AXIS, crossover=100.0, phase_margin_deg=60.0)
     assert "sampled velocity loop, IP, is stable" in design._repr_html_()
-    assert '<td>delay margin</td><td class="number">3.8' in design.sampled.margins._repr_html_()
+    assert '<th>delay margin</th><td class="number">3.8' in design.sampled.margins._repr_html_()
     assert "unbounded" in design.plant_input._repr_html_()
     force = ed.design_force_loop(design, 0.005)
     assert "sampled force loop, around a velocity loop that runs without contact too, is stable" in force._repr_html_()
     assert "Largest k_e1" in str(force)
     law = assess_impedance(AXIS, 50.0, 100.0, 0.02, plants=0)
-    assert law._repr_html_().startswith("<p>CREEPING: the released carriage creeps on")
+    assert law._repr_html_().startswith('<p class="warning">CREEPING: the released carriage creeps on')
     fast = ed.design_velocity_loop(AXIS, crossover=500.0, phase_margin_deg=80.0)
     assert "undefined" in fast.sampled.margins._repr_html_()
 

@@ -41,8 +41,10 @@ def undrawn(monkeypatch):
 
 @pytest.mark.slow("a whole report")
 def test_the_page_shows_the_gains_and_the_margins_of_all_four_loops(page):
-    for said in ("556.8 V/(m/s)", "8.455 ms", "60.0°", "60.2°", "39.2°", "159.9 rad/s (25.45 Hz)", "unbounded"):
+    for said in ("556.8 V/(m/s)", "8.455 ms", "60.0°", "60.2°", "39.2°"):
         assert said in page, said
+    cells = re.findall(r"<td[^>]*>([^<]*)", page)
+    assert {"556.766", "8.45505", "60", "60.23", "39.18", "159.9", "25.45", "unbounded"} <= set(cells)
 
 
 def test_the_page_has_every_picture_with_a_caption(page):
@@ -56,7 +58,7 @@ def test_the_page_of_a_pi_design_shows_and_says_pi(sketched):
     drive = {"kind": "cascade", "velocity": {"kp": 99.0, "ti": 0.1}, "filters": [{"kind": "lowpass", "frequency": 200}]}
     axis = machine("emps2018").replace(controller=drive)
     page = design_page(design_results(retune_velocity_loop(axis, crossover=60.0))).html()
-    for said in ("The PI velocity loop", "for the sampled loop broken at the plant input", "With PI it is the loop"):
+    for said in ("The PI velocity loop", "gains retuned, for the loop as sampled", "With PI it is the loop"):
         assert said in page, said
     assert "IP velocity loop" not in page
     assert "It crosses 0 dB at a higher" not in page
@@ -64,12 +66,14 @@ def test_the_page_of_a_pi_design_shows_and_says_pi(sketched):
 
 def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivation_differ(page):
     for said in (
-        "73.81 kg",
-        "235.8 N/(m/s)",
-        "6.296 N",
-        "3.841 mm/s",
+        ">73.81<",
+        ">235.8<",
+        ">6.296<",
+        "creep speed, mm/s",
+        ">3.841<",
         "(18) is printed with the opposite sign",
-        "17.38 N",
+        "force to break away, at rest",
+        ">17.38<",
     ):
         assert said in page, said
 
@@ -83,7 +87,7 @@ def test_a_page_has_the_sections_that_were_asked_for(sketched):
     assert not {"impedance", "force_loop"} & set(report.to_dict())
     assert "<h2>Force loop" not in html
     assert "<h2>Impedance law" not in html
-    assert 'class="callout stop"' not in html
+    assert 'class="bad"' not in html
     assert not [text for text in report.warnings if "creep" in text or "passive" in text]
 
 
@@ -111,7 +115,7 @@ def test_an_unstable_impedance_law_is_announced_first(sketched):
     html = report.page.html()
     body = html[html.index("<body>") :]
     assert not report.impedance.stable
-    assert body.index("the impedance law is unstable") < body.index("phase margin</th>")
+    assert body.index("The impedance law is unstable") < body.index("phase margin</th>")
 
 
 @pytest.mark.study("two whole reports")
@@ -128,7 +132,7 @@ def test_an_unstable_sampled_loop_is_announced_before_any_margin(sketched):
     html = design_page(design_results(design)).html()
     body = html[html.index("<body>") :]
     assert body.index("the sampled velocity loop is unstable") < body.index("phase margin</th>")
-    assert body.count("<td>unstable</td>") >= 10
+    assert body.count("<td>undefined</td>") >= 10
 
 
 def test_the_frequency_responses_are_those_of_the_margins():
@@ -172,7 +176,7 @@ def test_a_record_gives_the_mechanics_unless_told_otherwise(emps_data, sketched)
     html = report.page.html()
     assert "identified from DATA_EMPS" in html
     assert report.identifications[0].sha256 in html
-    assert "4.08 %" in html
+    assert re.search(r"4\.08\d\d % of the force", html)
 
 
 @pytest.mark.study("looks for the law of a record")
@@ -266,8 +270,9 @@ def test_a_cascade_shows_the_margins_of_its_own_loops(sketched):
     ]  # fmt: skip
     page = report.page.html()
     assert "Controller of the axis" in page
-    assert re.search(r"position loop(<[^>]*>|\s)+position error(<[^>]*>|\s)+stable", page)
+    assert re.search(r"position loop(<[^>]*>|\s)+whole loop", page)
+    assert "the loops of its cascade controller are stable" in page
     hot = assemble_report(axis.replace(controller={"velocity": {"kp": 30000.0}}), crossover=100.0)
-    assert re.search(r"the controller.{1,5}s loop is unstable", hot.page.html())
+    assert "the loops of its cascade controller are UNSTABLE" in hot.page.html()
     assert not hot.loops[-1].margins.stable
     assert "controller_loops" not in assemble_report("emps2018", crossover=100.0).to_dict()

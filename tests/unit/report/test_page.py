@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from emps_design.report import Callout, Facts, Html, Listing, Page, Picture, Points, Section, Table, Text, style
+from emps_design.report import Facts, Html, Line, Page, Picture, Section, Table, style
 from emps_design.report.page import delay, frequency, number, quantity, ratio, with_std
 from emps_design.units import Units
 
@@ -22,12 +22,13 @@ def page():
     return Page(
         "Title <b>",
         "machine",
-        (Callout("stop", "The loop is unstable", "1 & 2"), Facts((("margin", "60.0°", ""),))),
+        (Line("The loop is unstable: 1 & 2", "bad"), Facts((("margin", "60.0°", ""),))),
         (
-            Section("First things", Text("x < y"), Points(["one", Html("<i>two</i>")]), picture(), None),
-            Section("Second", picture("b"), Table(["a", "b [N]"], [["row", 1.5]], "Numbers."), Listing("a = b")),
+            Section("First things", Line("x < y"), Line("one", "point"), Line(Html("<i>two</i>"), "point"), picture()),
+            Section(
+                "Second", None, picture("b"), Table(["a", "b [N]"], [["row", 1.5]], "Numbers."), Line("a = b", "code")
+            ),
         ),
-        "made by hand",
     )
 
 
@@ -53,6 +54,7 @@ def test_text_is_escaped_and_html_is_kept():
 def test_an_unstable_loop_comes_before_any_number():
     html = page().html()
     assert html.index("The loop is unstable") < html.index("60.0°")
+    assert '<p class="bad" role="alert">The loop is unstable' in html
 
 
 def test_contents_list_reaches_every_section():
@@ -81,8 +83,8 @@ def test_notebook_view_wraps_the_page():
 
 
 def test_parts_refuse_what_cannot_be_drawn():
-    with pytest.raises(ValueError, match="callout level: found 'loud'"):
-        Callout("loud", "x")
+    with pytest.raises(ValueError, match="style of a line: found 'loud'"):
+        Line("x", "loud")
     with pytest.raises(ValueError, match="a row has 1 cells, expected 2"):
         Table(["a", "b"], [["x"]], "t")
 

@@ -2,20 +2,20 @@
 
 import pytest
 
+from emps_design.discrepancy.view import diagnosis_view
 from emps_design.identification.controller import identify_law
 from emps_design.identification.observation import observe
 from emps_design.report import Page, Section
 from emps_design.report.assemble import assemble_report
 from emps_design.report.diagnosis import design_change, experiment_section
 from emps_design.report.diagnosis_sections import (
-    answer_points,
     closest_section,
     findings_section,
     gap_section,
     parameters_section,
 )
 from emps_design.report.page import interval, quantity, with_std
-from emps_design.report.record import law_blocks, observation_blocks
+from emps_design.report.record import observation_blocks
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.units import LINEAR, Units
 from tests.axes import CONTROLLER, KINDS, axis_of
@@ -49,8 +49,8 @@ def test_nothing_on_the_page_of_a_report_has_to_be_rewritten(axis, record, sketc
 
 
 def test_nothing_in_a_law_and_an_observation_has_to_be_rewritten(axis, record, sketched):
-    blocks = law_blocks(identify_law(record, axis.units), axis.units)
-    blocks += observation_blocks(observe(record, axis), axis.units)
+    blocks = identify_law(record, axis.units).view()
+    blocks += observation_blocks(observe(record, axis))
     check(Page("", "", (), (Section("Result", *blocks),), units=axis.units).html(), axis.units)
 
 
@@ -61,16 +61,23 @@ def test_nothing_in_the_numbers_of_a_diagnosis_has_to_be_rewritten(axis):
         for name, unit in (("force", "N"), ("period", "m"), ("level", "V"), ("velocity", "m/s"), ("delay", "s"))
     }
     where = {"text": "all along", "force": {"value": 0.92, "unit": force, "sense": "more"}}
-    finding = {"effect": "backlash", "where": where, "parameters": parameters, "equivalents": ["mass_change"]}
+    finding = {"effect": "backlash", "label": "Backlash", "gap_before": 2.0, "gap_after": 1.0, "p_value": 0.01}
+    finding |= {"where": where, "parameters": parameters, "equivalents": ["mass_change"]}
     values = {"baseline": 2.0, "extended": 1.0}
     gap = {"unit": "N", "floor": 0.4, "train": values, "holdout": values}
     numbers = {"mass": {"axis": 95.0, "unit": "kg", "baseline": {"value": 96.0, "std": 0.1}}}
-    document = {"findings": [finding], "gap": gap, "parameters": numbers, "simulation": "closed loop"}
+    document = {
+        "verdict": "named",
+        "findings": [finding],
+        "gap": gap,
+        "parameters": numbers,
+        "simulation": "closed loop",
+    }
     document |= {"gap_inverse_60hz": gap, "closest": {"text": "it is close", "gap": gap, "gap_inverse_60hz": gap}}
     row = {"program": "sweep", "text": "a sweep", "distance": 1.0, "over_noise": 4.0}
     chosen = {"text": "a sweep", "program": "sweep", "file": "next.csv", "menu": [row], "between": [], "needed": 3.0}
     sections = (
-        Section("Answer", answer_points(document, units)),
+        Section("Answer", *diagnosis_view(document, units)),
         findings_section([finding], units),
         closest_section(document, units),
         parameters_section(document, units),

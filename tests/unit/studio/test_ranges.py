@@ -137,7 +137,7 @@ def test_a_specification_that_another_axis_cannot_have_stays_and_the_nearest_is_
     view.add_axis(UNLIKE["30 t"])
     assert (view.state.frequency, view.state.phase_margin_deg) == (300.0, margin)
     assert view.knobs["frequency"].field.value == "300"
-    assert 'class="message stop"' in view.message.object
+    assert 'class="message bad"' in view.message.object
     assert "The nearest frequency that can be reached is" in view.message.object
     view.fresh.clicks += 1
     assert view.state == State.of(UNLIKE["30 t"])

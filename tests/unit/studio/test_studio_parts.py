@@ -263,7 +263,7 @@ def test_a_result_goes_when_a_choice_that_it_read_is_another():
 
 
 @pytest.mark.parametrize(
-    ("level", "shown"), [("safe", "good"), ("caution", "warning"), ("do-not-run", "stop")], ids=lambda one: one
+    ("level", "shown"), [("safe", "good"), ("caution", "warning"), ("do-not-run", "bad")], ids=lambda one: one
 )
 def test_a_result_of_a_record_begins_with_what_to_do_with_it(level, shown):
     axis = machine("emps2019")
