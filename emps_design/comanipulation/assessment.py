@@ -64,6 +64,7 @@ from emps_design.control.impedance.robustness import (
     verdict,
     worst_radius,
 )
+from emps_design.control.margins import HERTZ
 from emps_design.control.sampled import MARGINAL, NestedLoop, worst_loop
 from emps_design.control.view import number
 from emps_design.errors import SpecificationError
@@ -520,8 +521,9 @@ def _as_implemented(document: dict[str, Any], units: Units) -> Table:
     largest = max((abs(complex(pole)) for pole in sampled["poles"]), default=None)
     bands = contact["sampled"]["active_bands"] if contact else []
     active = [f"from {low:.4g}" if high is None else f"{low:.4g} to {high:.4g}" for low, high in bands]
-    stiffness = units.unit("N/mm")
+    stiffness, low_pass = units.unit("N/mm"), document["law"]["filter"]
     rows = [
+        *([] if low_pass is None else [("low-pass of the law", number(low_pass / HERTZ), "Hz")]),
         ("largest pole, sliding", number(largest, 5), ""),
         ("gain of the recursion in its own current", number(sampled["recursion_gain"]), ""),
         (f"{units.word('force')} to break away, at rest", number(document["break_away"]), units.unit("N")),

@@ -163,7 +163,7 @@ def pushed_task(
     ``free`` and ``watched`` [s] as in :func:`guided_task`.
     """
     if not np.isfinite(force) or force <= 0.0:
-        raise InputError(f"`force`: found {force:g}, expected a push of more than 0")
+        raise InputError(f"force: found {force:g}, expected a push of more than 0")
     n, release, end = _samples(period, duration, free, watched)
     t = np.arange(n) * period / (release * period / 5.0)  # the plan is written for 5 s
     corners = [0.0, 0.25, 0.5, 1.5, 2.0, 3.25, 3.75, 4.75, 5.0]

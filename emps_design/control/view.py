@@ -30,9 +30,10 @@ CLOSED: tuple[Row, ...] = (
 UNDER_MISMATCH: tuple[Row, ...] = (
     ("phase margin", "phase_margin_deg", "deg", 1.0),
     ("crossover", "crossover", "rad/s", 1.0),
+    ("", "crossover", "Hz", 1.0 / HERTZ),
     ("delay margin", "delay_margin", "ms", 1e3),
     ("gain margin", "gain_margin", "ratio", 1.0),
-    ("bandwidth, -3 dB", "bandwidth", "rad/s", 1.0),
+    *CLOSED,
 )
 
 
@@ -103,11 +104,12 @@ def _gains(document: dict[str, Any], units: Units) -> Table:
             missing = "unbounded" if reading.get("stable", True) else "unstable"
             rows.append((f"{label} of T_vo, {words}", number(reading[key], 6, missing), unit, requested))
     rows += [
-        (label, number(document[key], 6), unit, number(ideal[key]) if key in ideal else "")
-        for label, key, unit in (
-            ("bandwidth of T_vc, ideal, -3 dB", "bandwidth", "rad/s"),
-            ("natural frequency w_0v, ideal", "omega_0v", "rad/s"),
-            ("damping ratio z_v, ideal", "z_v", ""),
+        (label, number(scale * document[key], 6), unit, number(ideal[key]) if key in ideal else "")
+        for label, key, unit, scale in (
+            ("bandwidth of T_vc, ideal, -3 dB", "bandwidth", "rad/s", 1.0),
+            ("natural frequency w_0v, ideal", "omega_0v", "rad/s", 1.0),
+            ("", "omega_0v", "Hz", 1.0 / HERTZ),
+            ("damping ratio z_v, ideal", "z_v", "", 1.0),
         )
     ]
     gains = "gains retuned, for the loop as sampled" if document["retuned"] else "gains by (7)"

@@ -130,7 +130,7 @@ def in_words(record: Record) -> str:
     """Return the length of ``record`` in words.
 
     >>> import numpy as np
-    >>> in_words(Record.from_arrays(1e-3, *np.zeros((3, 2001))))
+    >>> in_words(Record.from_arrays(1e-3, *np.tile(np.linspace(0.0, 1.0, 2001), (3, 1))))
     '2001 samples of 1.000 ms, 2.00 s in all'
     """
     return f"{len(record)} samples of {quantity(record.period, 's')}, {quantity(record.duration, 's', 3)} in all"

@@ -49,7 +49,7 @@ def test_the_report_shows_the_response_beside_the_model(files, capsys, sketched)
     text = (files / "page.html").read_text()
     assert "Measured response seen" in text
     assert re.search(r"<b>Figure 1\. ([^<]*?)\.</b>", text)[1] == "Measured frequency response"
-    assert "The response asks for two masses" in text
+    assert "Fitted, two masses" in text
     assert "emps2019: the model is within the 95 % circle" in text
 
 

@@ -369,7 +369,7 @@ def test_law_with_stiffness_returns_to_its_rest_position(axis):
 
 
 def test_bad_tasks_are_refused(axis):
-    with pytest.raises(InputError, match="`force`: found 0, expected a push of more than 0"):
+    with pytest.raises(InputError, match="force: found 0, expected a push of more than 0"):
         pushed_task(1e-3, force=0.0)
     with pytest.raises(InputError, match="duration: found 0.01 s, expected at least 100 periods"):
         guided_task(1e-3, 0.01)

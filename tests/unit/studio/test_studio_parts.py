@@ -607,7 +607,7 @@ def test_an_excited_record_gives_its_response_and_the_axis_that_fits_it():
     stages = []
     found = response_work(experiment(two_mass(), 3, count=2), machine("emps2019"), {}, lambda *at: stages.append(at))
     assert "the model is within the 95 % circle" in found["text"]
-    assert "The response asks for two masses" in found["html"]
+    assert "Fitted, two masses" in found["html"]
     assert found["model"].effects[0].kind == two_mass().effects[0].kind
     assert stages[-1] == ("drawing", 0.8)
 
