@@ -74,8 +74,8 @@ def judgement(text: str, level: str, more: str = "") -> str:
 def table(headings: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
     """Return ``rows`` under ``headings`` as HTML; the first cell of a row is its heading.
 
-    >>> table(("", "mass"), [("found", "2 kg")])
-    '<table><thead><tr><th></th><th>mass</th></tr></thead><tbody><tr><th>found</th><td>2 kg</td></tr></tbody></table>'
+    >>> table(("", "masses"), [("found", "two")])
+    '<table><thead><tr><th></th><th>masses</th></tr></thead><tbody><tr><th>found</th><td>two</td></tr></tbody></table>'
     """
     return view.html((view.Table(headings, rows, words=headings),))
 
