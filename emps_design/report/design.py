@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -98,6 +99,7 @@ def design_results(
 def design_page(results: DesignResults) -> Page:
     """Return the page of a design, its advice first."""
     velocity = results.velocity
+    nyquist = math.pi / velocity.axis.sampling.period
     return Page(
         f"Control design of the axis {velocity.axis.name}",
         _specification(velocity),
@@ -108,7 +110,7 @@ def design_page(results: DesignResults) -> Page:
             velocity_section(velocity),
             *([] if results.force is None else [force_section(results.force)]),
             *results.parts,
-            Section("Axis", *velocity.axis.view()),
+            Section("Axis", *velocity.axis.view(), Line(f"Nyquist frequency: {frequency(nyquist)}")),
             _end_section(results),
         ),
         units=velocity.axis.units,
