@@ -297,24 +297,24 @@ def _cells(estimate: Document) -> tuple[str | None, ...]:
     percent = estimate["relative_std_percent"]
     places = decimals(max(abs(estimate["value"] or 0.0), estimate["std"] or 0.0))
     return (
-        _written(estimate["value"], places),
-        _written(estimate["std"], places, 3),
+        written(estimate["value"], places, 4),
+        written(estimate["std"], places),
         "" if percent is None else f"{percent:.2f}",
-        _written(estimate["std_long_run"], places, 3),
-        _written(0.5 * (high - low), places, 3),
+        written(estimate["std_long_run"], places),
+        written(0.5 * (high - low), places),
     )
 
 
-def _written(number: float | None, places: int, digits: int = 4) -> str:
-    """``number`` with ``places`` decimals, or ``digits`` and an exponent if it is too long or would show as 0.
+def written(number: float | None, places: int, digits: int = 3) -> str:
+    """``number`` with ``places`` decimals, or ``digits`` digits where these leave less than two or are too many.
 
-    >>> _written(95.1089, 4), _written(3.001e-05, 9), _written(2e-08, 6, 3)
-    ('95.1089', '3.001e-05', '2.00e-08')
+    >>> written(95.1089, 4), written(0.000218, 4), written(3.001e-05, 9, 4), written(2e-08, 6)
+    ('95.1089', '0.000218', '3.001e-05', '2.00e-08')
     """
     if number is None:
         return ""
-    lost = 0.0 < abs(number) < 0.5 * 10.0**-places
-    return f"{number:.{digits - 1}e}" if lost or places > MOST_PLACES else f"{number:.{places}f}"
+    lost = 0.0 < abs(number) < 10.0 ** (1 - places)
+    return f"{number:#.{digits}g}" if lost or places > MOST_PLACES else f"{number:.{places}f}"
 
 
 def label(name: str, proposed: set[str], units: Units) -> str:

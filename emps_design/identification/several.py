@@ -23,6 +23,7 @@ from emps_design.identification.result import (
     label,
     parameter_names,
     proposed_line,
+    written,
 )
 from emps_design.messages import Message, warning
 from emps_design.quantities import decimals
@@ -134,10 +135,10 @@ class SeveralIdentifications(Viewed):
         rows = []
         for name, row in document["parameters"].items():
             places = decimals(max(abs(row["mean"]), row["std"]))
-            mean, spread, std = (f"{row[key]:.{places}f}" for key in ("mean", "spread", "std"))
+            spread, std = (written(row[key], places) for key in ("spread", "std"))
             mark = " **" if row["drift_significant"] else ""
             drift = None if row["drift"] is None else f"{row['drift']:+.{places}f}{mark}"
-            rows.append((label(name, own, units), mean, spread, std, drift, row["unit"]))
+            rows.append((label(name, own, units), f"{row['mean']:.{places}f}", spread, std, drift, row["unit"]))
         judged = [
             (f"{number} {name}", *(f"{error:.3f}" for error in errors))
             for number, (name, errors) in enumerate(zip(names, document["cross_validation"], strict=True), 1)
