@@ -198,9 +198,7 @@ def html(parts: Iterable[Any], other: Callable[[Any], str] | None = None) -> str
         if style is None:
             written += map(other or table_html, group)
             continue
-        texts = [
-            escape(printable(line.text), quote=False) if style == "code" else _escaped(line.text) for line in group
-        ]
+        texts = [_escaped(line.text, style == "code") for line in group]
         if style in MARKS:
             items = "".join(f"<li>{text}</li>\n" for text in texts)
             written.append(f'<ul class="{style}">\n{items}</ul>')
