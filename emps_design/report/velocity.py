@@ -49,12 +49,15 @@ def gains_section(velocity: VelocityLoopDesign, verdict: DesignVerdict) -> Secti
     units = velocity.axis.units
     document = gains_document(velocity, verdict) | {"warnings": []}
     off = margins_under_mismatch(velocity, relative_mismatch(MISMATCH))
+    loop, place = ("sampled", velocity.retuned_at) if velocity.retuned_at else ("ideal", "velocity-error")
     return Section(
         "Gains and margins",
         Picture(
             velocity_and_force_loop_diagram(velocity.structure, bool(velocity.filters)),
             f"The {velocity.structure.label} velocity loop ({ACTS_ON[velocity.structure.form]}) inside the "
-            f"{units.word('force')} loop. At the two dotted lines the loop is broken to read margins.",
+            f"{units.word('force')} loop. At the two dotted lines the loop is broken to read margins. "
+            f"The specification holds for the {loop} loop broken at the {place.replace('-', ' ')}; "
+            "what destabilises a drive acts at the plant input.",
             "Structure, after Fig. 4 of the paper",
         ),
         *gains_view(document, units),
