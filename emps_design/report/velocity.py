@@ -215,9 +215,11 @@ def force_section(force: ForceLoopDesign) -> Section:
 
     units = force.velocity_loop.axis.units
     word = units.word("force")
+    unstable = ("force-loop-unstable", "inner-loop-unstable", "other-machine-unstable", "sampled-limit-unbounded")
+    warnings = [message for message in force.warnings if message.code not in unstable]  # the verdict says these
     return Section(
         f"{word.capitalize()} loop",
-        *force_view(force.to_dict(), units),
+        *force_view(force.to_dict() | {"warnings": warnings}, units),
         Picture(
             force_limit_figure(force),
             "Shaded, above the dashed line, the loop as implemented is unstable: the “too high gain” of the paper. "
