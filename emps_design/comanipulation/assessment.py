@@ -519,8 +519,11 @@ def _as_implemented(document: dict[str, Any], units: Units) -> Table:
     """Poles, energy, walls and the force to break away of the sampled law."""
     sampled, contact, wall = document["sampled"], document["passivity"], document["largest_wall_stiffness"]
     largest = max((abs(complex(pole)) for pole in sampled["poles"]), default=None)
-    bands = contact["sampled"]["active_bands"] if contact else []
-    active = [f"from {low:.4g}" if high is None else f"{low:.4g} to {high:.4g}" for low, high in bands]
+    active = "undefined"
+    if contact:
+        bands = contact["sampled"]["active_bands"]
+        each = (f"from {low:.4g}" if high is None else f"{low:.4g} to {high:.4g}" for low, high in bands)
+        active = ", ".join(each) or "nowhere"
     stiffness, low_pass = units.unit("N/mm"), document["law"]["filter"]
     rows = [
         *([] if low_pass is None else [("low-pass of the law", number(low_pass / HERTZ), "Hz")]),
@@ -532,7 +535,7 @@ def _as_implemented(document: dict[str, Any], units: Units) -> Table:
             number(document["smallest_safe_mass"], nothing="undefined"),
             units.unit("kg"),
         ),
-        ("takes energy from the hand", ", ".join(active) or "nowhere", "rad/s"),
+        ("not passive, gives energy to the hand", active, "rad/s"),
         *(
             (
                 f"stiffest wall, {'exact estimates' if name == 'exact' else 'worst corner'}, pushed with "
@@ -585,6 +588,11 @@ def _share(study: dict[str, Any], name: str) -> str:
     return f"{100 * study[name]:.2f} %{interval}"
 
 
+def _of_plants(value: float | None) -> str:
+    """A number of the random plants; none has it where each simulation was broken off."""
+    return "-" if value is None or math.isnan(value) else number(value)
+
+
 def _spread(ranges: dict[str, Any], units: Units) -> Iterator[Table]:
     """What the random plants do: transparency, command and effort."""
     bases = {
@@ -598,7 +606,7 @@ def _spread(ranges: dict[str, Any], units: Units) -> Iterator[Table]:
     rows = [
         (
             f"r2 of {units.word('force')} on motion" if name == "r2" else units.words(_spaced(name)),
-            *(number(ranges[name][key], nothing="-") for key in ("low", "median", "high")),
+            *(_of_plants(ranges[name][key]) for key in ("low", "median", "high")),
             units.unit(base),
         )
         for name, base in bases.items()

@@ -111,14 +111,14 @@ LIGHT = {
 
 
 @QUICK
-def test_a_light_carriage_is_felt_in_three_digits(capsys, axis, tmp_path):
+def test_a_light_carriage_is_felt_in_four_digits(capsys, axis, tmp_path):
     path = tmp_path / "light.toml"
     path.write_text(axis.replace(**LIGHT).to_toml(), encoding="utf-8")
     out = called(capsys, str(path), "--mass", "0.15", "--damping", "0.55")[1]
     cells = [re.split(r"\s{2,}", line.strip()) for line in out.splitlines()]
     rows = {label: values for label, *values in cells}
     assert rows["derived"] == ["0.15", "0.55", "0"]
-    assert rows["(30) as printed"] == ["0.2", "1.03", "0.267"]
+    assert rows["(30) as printed"] == ["0.2", "1.033", "0.2667"]
 
 
 @QUICK
@@ -150,7 +150,7 @@ def test_with_a_force_sensor_its_own_law_is_felt(capsys):
     assert "as printed" not in out
     row = next(line for line in out.splitlines() if "(28), measured force" in line)
     left = 50.0 / 115.7315 * 0.2 * 17.3811
-    assert re.split(r"\s{2,}", row.strip())[1:] == ["50", "100.0", f"{left:.3g}"]
+    assert re.split(r"\s{2,}", row.strip())[1:] == ["50", "100", f"{left:.4g}"]
 
 
 @QUICK

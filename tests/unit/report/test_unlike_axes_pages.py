@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.comanipulation.assessment import _share
+from emps_design.comanipulation.assessment import _of_plants, _share
 from emps_design.control.force import design_force_loop
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.limits import retune_velocity_loop
@@ -52,6 +52,10 @@ def with_filters(axis: Axis) -> Axis:
 def test_an_interval_of_a_share_is_in_percent():
     assert _share({"share": 0.95, "share_interval": (0.9123, 1.0)}, "share") == "95.00 % (95 %: 91.23 to 100.00 %)"
     assert _share({"share": 0.95, "share_interval": (np.nan, np.nan)}, "share") == "95.00 %"
+
+
+def test_what_no_random_plant_has_is_not_shown_as_a_number():
+    assert [_of_plants(value) for value in (np.nan, None, 2.53812)] == ["-", "-", "2.538"]
 
 
 def test_what_takes_phase_is_named_with_the_filters_and_the_effects_of_the_axis(sketched):
