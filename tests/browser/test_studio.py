@@ -309,7 +309,7 @@ def test_the_folder_for_the_drive_is_handed_out(page, picture):
     page.get_by_label("Axis", exact=True).first.select_option("emps2019")
     turn_to(page, "Compensation")
     page.get_by_role("button", name="Try them").click()
-    page.get_by_text("Tracking error rms").wait_for(timeout=120_000)
+    page.get_by_text("tracking error, rms").wait_for(timeout=120_000)
     page.wait_for_timeout(500)
     page.screenshot(path=picture("studio-compensation-tried"))
     with page.expect_download() as download:
