@@ -137,7 +137,7 @@ def test_the_papers_reading():
 
 def test_a_notebook_shows_the_verdict_first():
     html = design_force_loop(LOOP, 0.02, environment=1e4)._repr_html_()
-    assert html.startswith('<p class="bad">emps2018: sampled force loop, ')
+    assert html.startswith('<p class="bad" role="alert">emps2018: sampled force loop, ')
     assert html.split("</p>")[0].endswith(" is UNSTABLE")
     assert "0.017395" in html
 
