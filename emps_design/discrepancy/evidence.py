@@ -191,8 +191,7 @@ def noise_of(
     """The noise and the unknown force of ``residuals`` (n,) [N] per record.
 
     ``first`` is the noise to begin with, ``least`` [N] the smallest deviation of an innovation, ``odds`` [nats] what a
-    group of the unknown force costs,
-    ``loud`` (n,) per record the gain of noise.
+    group of the unknown force costs, ``loud`` (n,) per record the gain of noise.
     """
     used = unknown.problem.masks("used")
     samples = unknown.problem.samples("used")
@@ -421,7 +420,8 @@ class Moves:
         """``fitted`` with its noise and evidence; None where it cannot be simulated."""
         if not fitted.innovations:
             return None
-        loud = fitted.loudness if fitted.model.effects else ()
+        unweighed = Hypothesis(replace(fitted.problem, loudness=(), quieted=()), fitted.model)
+        loud = evaluate(unweighed).loudness if fitted.model.effects else ()
         noise = noise_of(unknown, unknown.whole(fitted.residuals()), self.floor.whitening, self.least, self.odds, loud)
         count = len(fitted.model.effects) - len(self.known)
         return Judged(fitted, unknown, noise, noise.likelihood + self._occam(fitted) - self.odds * count)
