@@ -205,7 +205,7 @@ def _extend(outcome: Outcome, path: list[Fit], progress: Progress, most: int) ->
     """
     calibration, tried, beam = outcome.calibration, outcome.tried, path[-1:]
     baseline, accept = calibration.baseline, calibration.judge.accepts
-    noise, library = baseline.problem.samples("used"), _library(calibration, general=False)
+    noise, library = baseline.problem.samples("used"), shapes(calibration.preparation.library, general=False)
     if not _effect_count(calibration, path[-1]):
         # Missing physics may have bent the fitted baseline: the axis file's is extended as well.
         alternatives = map(evaluate, either_baseline(path[-1])[1:])
@@ -248,7 +248,8 @@ def _far_behind(calibration: Calibration, current: Fit, tried: FitsBySet, progre
     number, names = 1 + _effect_count(calibration, current), set_of(current)
     if number > rules.CREDIBLE or not calibration.judge.leaves_structure(current):
         return None
-    rest = tuple(effect for effect in _library(calibration, general=False) if names | {effect.name} not in tried)
+    specific = shapes(calibration.preparation.library, general=False)
+    rest = tuple(effect for effect in specific if names | {effect.name} not in tried)
     sound, _ = _round(calibration, [current], number, rest, progress, rules.FAR_BEHIND)
     _remember(tried, sound.values())
     return _best_accepted(calibration, current, sound)
@@ -259,7 +260,7 @@ def _curve(calibration: Calibration, current: Fit, tried: FitsBySet, progress: P
     number = 1 + _effect_count(calibration, current)
     if number > most:
         return None
-    sound, _ = _round(calibration, [current], number, _library(calibration, general=True), progress)
+    sound, _ = _round(calibration, [current], number, shapes(calibration.preparation.library, general=True), progress)
     _remember(tried, sound.values())
     return _best_accepted(calibration, current, sound)
 
@@ -278,7 +279,7 @@ def _pair(calibration: Calibration, current: Fit, tried: FitsBySet, progress: Pr
     leading = sorted((f for f in alone if current.cost - f.cost > worth), key=lambda f: f.cost)[: BEAM[0]]
     if not leading:
         return None
-    pairs, _ = _round(calibration, leading, 2, _library(calibration, general=False), progress)
+    pairs, _ = _round(calibration, leading, 2, shapes(calibration.preparation.library, general=False), progress)
     _remember(tried, pairs.values())
     return _best_accepted(calibration, current, pairs)
 
@@ -287,9 +288,9 @@ def _best_accepted(calibration: Calibration, current: Fit, sound: FitsBySet) -> 
     return next((converged(best) for best in _ranked(current, sound, calibration.judge.accepts)), None)
 
 
-def _library(calibration: Calibration, *, general: bool) -> tuple[Effect, ...]:
-    """The effects to look for: the curves of any shape, or all others."""
-    return tuple(effect for effect in calibration.preparation.library if effect.search.general is general)
+def shapes(library: Iterable[Effect], *, general: bool) -> tuple[Effect, ...]:
+    """The effects of ``library`` to look for: the curves of any shape, or all others."""
+    return tuple(effect for effect in library if effect.search.general is general)
 
 
 def _effect_count(calibration: Calibration, fitted: Fit) -> int:

@@ -23,7 +23,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from emps_design.discrepancy import unknown_force
-from emps_design.discrepancy.beam_search import exchanges
+from emps_design.discrepancy.beam_search import exchanges, shapes
 from emps_design.discrepancy.calibration import first_noise
 from emps_design.discrepancy.extension import converged, extended
 from emps_design.discrepancy.fit import Fit, admissible, evaluate, fit
@@ -35,8 +35,9 @@ from emps_design.discrepancy.preparation import HeldOut, Preparation
 from emps_design.discrepancy.problem import Hypothesis, Problem
 from emps_design.discrepancy.starts import either_baseline
 from emps_design.discrepancy.unknown_force import COARSE, SLOWEST, Kind, along, damping, inertia, memory
-from emps_design.effects import Effect, Motion, Parameter
+from emps_design.effects import Motion, Parameter
 from emps_design.errors import RecordError, SimulationError
+from emps_design.identification.statistics import autocovariance
 
 # Priors
 TAILS = 5.0  # degrees of freedom of the noise
@@ -238,9 +239,14 @@ def noise_of(
 
 
 def _weights(innovations: list[np.ndarray], used: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    """The expected precision of every sample, relative to that of the noise, by Student's tails."""
+    """The precision (n,) of every sample under the scale that fits all of them."""
     scale = _scale(np.concatenate([x[mask] for x, mask in zip(innovations, used, strict=True)]))
-    return tuple((TAILS + 1) / (TAILS + (x / scale) ** 2) for x in innovations)
+    return tuple(_precision(x, scale) for x in innovations)
+
+
+def _precision(x: np.ndarray, scale: float) -> np.ndarray:
+    """The expected precision of every sample of ``x`` (n,), relative to 1/``scale``^2, by Student's tails."""
+    return np.asarray((TAILS + 1) / (TAILS + (x / scale) ** 2))
 
 
 def _whitened(
@@ -327,11 +333,10 @@ def _variances(
 
 def _autoregressive(rest: list[np.ndarray], used: tuple[np.ndarray, ...], least: float) -> Whitening:
     """The autoregressive noise of ``rest`` (n,) [N] per record in the samples ``used``."""
-    lags = np.zeros(ORDER + 1)
+    lags, samples = np.zeros(ORDER + 1), sum(int(mask.sum()) for mask in used)
     for x, mask in zip(rest, used, strict=True):
-        power = np.abs(np.fft.rfft(np.where(mask, x, 0.0), 2 * x.size)) ** 2
-        lags += np.fft.irfft(power)[: ORDER + 1]
-    whitening = Whitening.of_autocovariance(lags / sum(int(mask.sum()) for mask in used))
+        lags += autocovariance(np.where(mask, x, 0.0), samples, ORDER + 1)
+    whitening = Whitening.of_autocovariance(lags)
     return Whitening(whitening.coefficients, max(whitening.std, least))
 
 
@@ -339,7 +344,7 @@ def _scale(x: np.ndarray) -> float:
     """The scale of Student's t that fits ``x`` (n,)."""
     scale = max(float(np.median(np.abs(x))) / 0.67, 1e-9)
     for _ in range(10):
-        scale = max(float(np.sqrt(np.mean((TAILS + 1) / (TAILS + (x / scale) ** 2) * x * x))), 1e-9)
+        scale = max(float(np.sqrt(np.mean(_precision(x, scale) * x * x))), 1e-9)
     return scale
 
 
@@ -412,10 +417,6 @@ class Moves:
         """What an effect, or a group of unknown forces, must gain [nats]."""
         return ODDS + WORTH * self.problem.samples("used")
 
-    def library(self, general: bool) -> tuple[Effect, ...]:
-        """The curves of any shape, or all other effects."""
-        return tuple(effect for effect in self.preparation.library if effect.search.general is general)
-
     def judged(self, fitted: Fit, unknown: Unknown) -> Judged | None:
         """``fitted`` with its noise and evidence; None where it cannot be simulated."""
         if not fitted.innovations:
@@ -471,20 +472,17 @@ class Moves:
 
     def linearised(self, judged: Judged) -> Judged:
         """The set with its unknown force linearised around its own motion, and in the loop where it is needed."""
+        start = judged.fit
         with suppress(SimulationError):
-            around = Unknown.of(Hypothesis(self.problem, judged.model))
-            fitted = evaluate(
-                Hypothesis(_plain(around.problem, judged), judged.model), judged.fit.slots, judged.fit.covariance
-            )
-            plain = self.judged(fitted, around)
-            best = plain or judged
+            plain = Hypothesis(self.problem.with_whitening(judged.noise.whitening), judged.model)
+            best = self.judged(evaluate(plain, start.slots, start.covariance), Unknown.of(plain)) or judged
             for _ in range(IN_TURN):
                 if best.noise.gain < NEAR:
                     break
                 force = tuple(f @ b for f, b in zip(best.unknown.forces, best.noise.coefficients, strict=True))
-                acted = Hypothesis(_plain(self.problem, best).with_acting(force), judged.model)
-                acting = Unknown.of(acted, force)
-                again = self.judged(evaluate(acted, judged.fit.slots, judged.fit.covariance), acting)
+                problem = self.problem.with_whitening(best.noise.whitening).with_acting(force)
+                acted = Hypothesis(problem, judged.model)
+                again = self.judged(evaluate(acted, start.slots, start.covariance), Unknown.of(acted, force))
                 if again is None or again.evidence <= best.evidence:
                     break
                 best = again
@@ -499,11 +497,10 @@ class Moves:
 
     def added(self, current: Judged, general: bool = False) -> list[Judged]:
         """Sets with one effect more, instead of the unknown force and beside it, best first."""
-        sets: list[Judged] = []
-        instead = (
-            Unknown.of(Hypothesis(self.problem, current.model)) if any(map(np.any, current.unknown.mean)) else None
-        )
-        for unknown, quiet in ((instead or current.unknown, False), (current.unknown, True)):
+        sets, library = list[Judged](), shapes(self.preparation.library, general=general)
+        acts = any(map(np.any, current.unknown.mean))
+        instead = Unknown.of(Hypothesis(self.problem, current.model)) if acts else current.unknown
+        for unknown, quiet in ((instead, False), (current.unknown, True)):
             if quiet and current.noise.gain < KNOWN:
                 continue
             noise = current.noise if quiet else self.coloured(current)
@@ -511,7 +508,7 @@ class Moves:
             begins = [evaluate(Hypothesis(problem, current.model))]
             if not current.model.effects:
                 begins += [evaluate(other) for other in either_baseline(begins[0])[1:]]
-            fits = [f for begin in begins if begin.innovations for f in extended(begin, self.library(general))[0]]
+            fits = [f for begin in begins if begin.innovations for f in extended(begin, library)[0]]
             sets += self.best(fits, unknown)
         return sorted(sets, key=lambda j: -j.evidence)
 
@@ -560,11 +557,6 @@ def _of(slot: Slot) -> Parameter:
     """The parameter of an effect in ``slot``."""
     assert isinstance(slot.quantity, Parameter)
     return slot.quantity
-
-
-def _plain(problem: Problem, judged: Judged) -> Problem:
-    """``problem`` under the noise of ``judged``, without its unknown force."""
-    return replace(problem, whitening=judged.noise.whitening, quieted=(), loudness=())
 
 
 def most_evident(preparation: Preparation, say: Say = lambda text: None) -> tuple[Moves, Judged]:

@@ -10,15 +10,8 @@ from emps_design.cli import app
 from emps_design.discrepancy import diagnose
 from emps_design.report.assemble import assemble_report
 from emps_design.simulation.synthetic import synthetic_record
+from tests.axes import JOINT
 
-JOINT = {
-    "name": "joint",
-    "motion": "rotary",
-    "mechanics": {"mass": 1.15, "viscous": 8.1, "coulomb": 7.2, "offset": 0.4},
-    "drive": {"command": "current", "force_gain": 9.2, "command_limit": 10.3, "current_time_constant": 1e-3},
-    "sampling": {"period": 1e-3, "encoder_resolution": 3e-6},
-    "controller": {"kind": "position_pd", "kp": 22.0, "kv": 7.6},
-}
 GANTRY = {
     "name": "gantry",
     "mechanics": {"mass": 62.0, "viscous": 310.0, "coulomb": 48.0},
