@@ -519,11 +519,11 @@ def _as_implemented(document: dict[str, Any], units: Units) -> Table:
     """Poles, energy, walls and the force to break away of the sampled law."""
     sampled, contact, wall = document["sampled"], document["passivity"], document["largest_wall_stiffness"]
     largest = max((abs(complex(pole)) for pole in sampled["poles"]), default=None)
-    active = "undefined"
+    active = ["undefined"]
     if contact:
         bands = contact["sampled"]["active_bands"]
-        each = (f"from {low:.4g}" if high is None else f"{low:.4g} to {high:.4g}" for low, high in bands)
-        active = ", ".join(each) or "nowhere"
+        each = [f"from {low:.4g}" if high is None else f"{low:.4g} to {high:.4g}" for low, high in bands]
+        active = each or ["nowhere"]
     stiffness, low_pass = units.unit("N/mm"), document["law"]["filter"]
     rows = [
         *([] if low_pass is None else [("low-pass of the law", number(low_pass / HERTZ), "Hz")]),
@@ -535,7 +535,7 @@ def _as_implemented(document: dict[str, Any], units: Units) -> Table:
             number(document["smallest_safe_mass"], nothing="undefined"),
             units.unit("kg"),
         ),
-        ("not passive, gives energy to the hand", active, "rad/s"),
+        *(("" if row else "not passive, gives energy to the hand", band, "rad/s") for row, band in enumerate(active)),
         *(
             (
                 f"stiffest wall, {'exact estimates' if name == 'exact' else 'worst corner'}, pushed with "

@@ -128,6 +128,7 @@ def test_a_number_is_refused_without_an_axis_too(tmp_path, capsys):
         "gains --crossover 100 --mismatch 0.02",
         "gains --crossover 100 --phase-margin 80 --computation-delay 1",
         "force --k-e1 0.005 --environment 1000",
+        "impedance --mass 50 --damping 100",
         pytest.param(
             "impedance --mass 50 --damping 100 --mismatch 0.02 --plants 4", marks=pytest.mark.study("a mismatch")
         ),
