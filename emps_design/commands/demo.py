@@ -76,11 +76,12 @@ def answer(request: DemoRequest) -> Reply:
 
 
 def _identified(report: Report, truth: dict[str, float]) -> Table:
-    rows = [
-        (name, f"{truth[name]:.4f}", f"{found.value:.4f}", f"{found.std:.4f}", found.quantity.unit)
-        for name, found in report.identifications[0].parameters.items()
-    ]
-    return Table(("parameter", "simulated with", "found", "std", "unit"), rows, "2. Identified from the record")
+    rows = []
+    for name, found in report.identifications[0].parameters.items():
+        assert found.interval_95 is not None
+        low, high = found.interval_95
+        rows.append((name, f"{truth[name]:.4f}", f"{found.value:.4f}", f"{(high - low) / 2:.4f}", found.quantity.unit))
+    return Table(("parameter", "simulated with", "found", "95 % ±", "unit"), rows, "2. Identified from the record")
 
 
 def _loops(report: Report, axis: Axis) -> View:

@@ -199,6 +199,13 @@ def test_the_demo_shows_the_force_loop_of_the_paper_against_a_wall(first):
     assert force["stable"]
 
 
+def test_the_demo_finds_what_it_simulated_with(first):
+    document = json.loads(first("demo")[1])
+    for name, truth in document["truth"].items():
+        low, high = at(document, f"identification.symmetric.parameters.{name}.interval_95")
+        assert low < truth < high
+
+
 def test_gains_that_cannot_be_met_exit_3_with_the_nearest(capsys):
     assert app.run(["gains", "--crossover", "100", "--phase-margin", "90", "--json"]) == 3
     document = json.loads(capsys.readouterr().out)
