@@ -75,9 +75,7 @@ class Problem:
 
     ``states`` are functions (n, k) along each record whose span is projected out of every residual on the used samples.
     ``loudness`` (n,) along each record is the gain of noise in the innovations, which are divided by it. ``acting`` is
-    a force (n,) [N] on the carriage along each record besides the measured one. ``quieted`` is an orthonormal basis
-    (n, k) and a share (k,) for each record: that share of the innovations along the basis is taken off, as an unknown
-    force with a prior may explain them; they stand instead of ``states``. ``known`` are quantities computed from
+    a force (n,) [N] on the carriage along each record besides the measured one. ``known`` are quantities computed from
     the records once, ``remembered`` residuals of the same records, also for other noise.
     """
 
@@ -88,7 +86,6 @@ class Problem:
     states: tuple[np.ndarray, ...] = ()
     loudness: tuple[np.ndarray, ...] = ()
     acting: tuple[np.ndarray, ...] = ()
-    quieted: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
     known: Recorded | None = field(default=None, compare=False, repr=False)
     remembered: Remembered = field(default_factory=Remembered, compare=False, repr=False)
 
@@ -119,7 +116,7 @@ class Problem:
     def only(self, record: int) -> Problem:
         """The problem of one record, by its number; its models are :meth:`Candidate.only`."""
         chosen = slice(record, record + 1)
-        alone = ("records", "splits", "states", "loudness", "acting", "quieted")
+        alone = ("records", "splits", "states", "loudness", "acting")
         return replace(self, **{name: getattr(self, name)[chosen] for name in alone})
 
     def with_acting(self, forces: Sequence[np.ndarray]) -> Problem:
@@ -137,9 +134,6 @@ class Problem:
         innovations = tuple(apply(f) if f.ndim == 1 else np.apply_along_axis(apply, 0, f) for f in forces)
         if self.loudness:
             innovations = tuple((x.T / loud).T for x, loud in zip(innovations, self.loudness, strict=True))
-        if self.quieted:
-            parts = zip(innovations, self.quieted, strict=True)
-            return tuple(x - (basis * share) @ (basis.T @ x) for x, (basis, share) in parts)
         if not self.states:
             return innovations
         return tuple(x - basis @ (basis.T @ x) for x, basis in zip(innovations, self._states_basis, strict=True))

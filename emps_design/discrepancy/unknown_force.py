@@ -259,7 +259,7 @@ def beside_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     The response of the loop is linearised. Raises :class:`SimulationError` where the model cannot be simulated with a
     force of a tenth of its residual.
     """
-    states = responses_to(hypothesis, columns_of(hypothesis, kind))
+    states = _answers(hypothesis, _columns(hypothesis, kind))
     return Hypothesis(replace(hypothesis.problem, states=states), hypothesis.model)
 
 
@@ -271,8 +271,8 @@ def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     """
     problem = replace(hypothesis.problem, states=())
     hypothesis = Hypothesis(problem, hypothesis.model)
-    columns = columns_of(hypothesis, kind)
-    innovations, answers = (problem.whiten(x) for x in (hypothesis.residuals(), responses_to(hypothesis, columns)))
+    columns = _columns(hypothesis, kind)
+    innovations, answers = (problem.whiten(x) for x in (hypothesis.residuals(), _answers(hypothesis, columns)))
     shares = [
         np.linalg.lstsq(answer[used], wanted[used], rcond=RANK)[0]
         for answer, wanted, used in zip(answers, innovations, problem.masks("used"), strict=True)
@@ -287,7 +287,7 @@ def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     return beside_kind(hypothesis, kind)
 
 
-def columns_of(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
+def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
     """Forces [N] of a ``kind``, (n, k) along each record, each of rms ``PUSH`` times that of the residual."""
     columns = []
     motions = hypothesis.problem.recorded.motions
@@ -298,7 +298,7 @@ def columns_of(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
     return columns
 
 
-def responses_to(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     """Change of the motor force [N], (n, k) per record, by each of the ``columns`` [N] as a force on the carriage."""
     whole = hypothesis.residuals()
     pushes = zip(*(np.ascontiguousarray(column.T) for column in columns), strict=True)

@@ -41,7 +41,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--table", type=Path, help="default: benchmarks/hidden.json, with _no_laps where they are none")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--timeout", type=float, default=TIMEOUT, help="seconds after which a case counts as wrong")
-    parser.add_argument("--trial", action="store_true", help="the evidence on trial, instead of `diagnose`")
     options = parser.parse_args(arguments)
     kind = f"_{options.cases}" * (options.cases not in ("quick", "all")) + "_no_laps" * options.no_laps
     page = options.page or PAGES / f"hidden_effects{kind}.md"
@@ -54,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
                 [*wanted, "--count", str(options.count), "--only", options.only, *["--no-laps"] * options.no_laps]
             )
         scores = []
-        for one in score_all(folder, options.only, options.jobs, options.timeout, options.trial):
+        for one in score_all(folder, options.only, options.jobs, options.timeout):
             scores.append(one)
             said = " + ".join(one.named) or one.verdict
             line = f"{one.case:55s} {one.result:9s} {said:50s} {one.closed:5.2f} {one.seconds:4.0f} s {one.note}"

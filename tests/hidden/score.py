@@ -108,11 +108,8 @@ def gap_closed(case: Path, out: Path, truth: dict) -> float:
     return 1 - (after**2 - floor**2) / (before**2 - floor**2)
 
 
-def score(case: Path, timeout: float = TIMEOUT, trial: bool = False) -> Score:
-    """Diagnose one case in a process of its own; a crash or a late answer is wrong.
-
-    ``trial``: by the evidence that is on trial, which predicts no hold-out.
-    """
+def score(case: Path, timeout: float = TIMEOUT) -> Score:
+    """Diagnose one case in a process of its own; a crash or a late answer is wrong."""
     truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
     hidden, started = tuple(truth["effects"]), _processor_time()
     with tempfile.TemporaryDirectory() as folder:
@@ -126,13 +123,11 @@ def score(case: Path, timeout: float = TIMEOUT, trial: bool = False) -> Score:
             folder,
             "--json",
         ]
-        if trial:
-            command = [sys.executable, "-m", "tests.hidden.trial", str(case)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, check=True)
             seconds, answer = _processor_time() - started, json.loads(done.stdout)
             result, exact, false = judge(answer, truth)
-            closed = math.nan if trial else gap_closed(case, Path(folder), truth)
+            closed = gap_closed(case, Path(folder), truth)
         except (subprocess.SubprocessError, ValueError, OSError) as error:
             seconds = _processor_time() - started
             said = Score(case.name, hidden, (), "", "wrong", False, (), math.nan, seconds, _why(error, timeout))
@@ -162,13 +157,11 @@ def _processor_time() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def score_all(
-    folder: Path, only: str = "", jobs: int = 1, timeout: float = TIMEOUT, trial: bool = False
-) -> Iterator[Score]:
+def score_all(folder: Path, only: str = "", jobs: int = 1, timeout: float = TIMEOUT) -> Iterator[Score]:
     """Scores of the cases below ``folder``, as they are done, in order; ``jobs`` processes each score one at a time."""
     chosen = sorted(path.parent for path in folder.glob("*/truth.json") if only in path.parent.name)
     with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(partial(score, timeout=timeout, trial=trial), chosen)
+        yield from pool.map(partial(score, timeout=timeout), chosen)
 
 
 def summary(scores: list[Score]) -> dict[str, Any]:
