@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from emps_design.cli.app import COMMANDS, _application
-from emps_design.cli.command import module_of, request_of
+from emps_design.cli.app import COMMANDS, _application, module_of, request_of
 from emps_design.cli.output import FLAGS, FLAGS_OF, Terminal
 from emps_design.request import options_of
 from tests.axes import KINDS, axis_of

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from emps_design.cli import app
-from emps_design.cli.app import COMMANDS
-from emps_design.cli.command import module_of
+from emps_design.cli.app import COMMANDS, module_of
 from emps_design.effects import EFFECTS
 from emps_design.laws import LAWS
 
