@@ -9,7 +9,7 @@ import pytest
 
 from emps_design.effects import EFFECTS, Motion, library as package
 from emps_design.effects.effect import CHECK_BASELINE, MASS, SCALAR_HOOKS, VISCOUS
-from emps_design.model import states_along
+from tests.inverse_model import states_along
 
 B = np.array(CHECK_BASELINE)
 UNITS = {"", "N", "N/m", "N/(m/s)", "N/(m/s)^2", "m", "m/s", "s", "Hz", "rad", "V"}

@@ -1,7 +1,7 @@
 """The inverse dynamic model, compiled: the force that a motion needs, by the effects' own kernels.
 
 ``tau = (M + inertia) a + F_v v + offset + force + max(0, F_c + dry) s``, s the direction; solved by iteration if a
-kernel reads the motor force. :func:`emps_design.model.plant_force` is the same in Python, with states and time.
+kernel reads the motor force.
 """
 
 from __future__ import annotations

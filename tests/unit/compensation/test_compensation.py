@@ -17,8 +17,8 @@ from emps_design.effects import EFFECTS
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import get_law, law_of
 from emps_design.machines import machine
-from emps_design.model import inverse_force, plant_force
 from emps_design.simulation import Plant, trapezoid_laps
+from tests.inverse_model import inverse_force, plant_force
 
 PROGRAM = trapezoid_laps(1e-3, 0.05, 0.15, 1.0, laps=1)
 EFFECTS_HERE = [

@@ -1,4 +1,4 @@
-"""The model of an axis: inverse force against the simulation, quadrants, friction curve, symbols."""
+"""The inverse model of the tests against the simulation, quadrants, friction curve."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ import pytest
 from emps_design.errors import InputError
 from emps_design.laws.friction_model import FrictionModel
 from emps_design.machines import machine
-from emps_design.model import formula, inverse_force, plant_force, steady_friction
 from emps_design.simulation import Plant
+from tests.inverse_model import inverse_force, plant_force, steady_friction
 
 PLANT = {
     "asymmetric_viscous_friction": {"viscous_difference": -40.0},
@@ -109,35 +109,3 @@ def test_quadrants_of_the_paper_and_of_an_unsymmetric_axis():
 def test_motion_of_different_lengths_is_refused():
     with pytest.raises(InputError, match=r"motion: found shapes \(2,\), \(1,\)"):
         plant_force(machine("emps2019"), np.zeros(2), np.zeros(1), np.zeros(1), np.zeros(1))
-
-
-def test_symbols_give_the_same_force():
-    import sympy
-
-    names = (
-        "stribeck_friction",
-        "position_ripple",
-        "periodic_disturbance",
-        "mass_change",
-        "backlash",
-        "actuator_delay",
-    )
-    extra = {
-        "periodic_disturbance": {"amplitude": 2.0, "phase": 0.1, "frequency": 3.0},
-        "backlash": {"gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4},
-    }
-    own = {**PLANT, **extra}
-    axis = machine("emps2019").replace(effects=[{"kind": n, **own[n]} for n in names])
-    written = formula(axis)
-    assert [name for name, _ in written.beside] == ["backlash", "actuator_delay"]
-    symbols = [written.motion[key] for key in ("q", "v", "a", "t", "tau")]
-    function = sympy.lambdify([*symbols, *written.values], written.force, "math")
-    q, v, a, t = (x[::37] for x in motion())
-    kept = axis.replace(effects=[e for e in axis.effects if e.kind not in ("backlash", "actuator_delay")])
-    force = plant_force(kept, q, v, a, t)
-    symbolic = [function(*now, 0.0, *written.values.values()) for now in zip(q, v, a, t, strict=True)]
-    np.testing.assert_allclose(symbolic, force, atol=1e-9)
-    text = written.latex()
-    assert text.startswith(r"\tau = ")
-    assert text.count("\n") == 2
-    assert len({s.name for s in written.values}) == len(written.values)

@@ -10,11 +10,11 @@ from emps_design.errors import AxisError
 from emps_design.identification import identify
 from emps_design.identification.closed_loop import identify_by_output_error
 from emps_design.machines import machine
-from emps_design.model import inverse_force
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.run import Run
 from emps_design.simulation.scenarios import replay
+from tests.inverse_model import inverse_force
 
 T, SUPPLY = 2e-3, 12.0
 ARM = {

@@ -1,4 +1,4 @@
-"""The model of an axis with its effects: force for a motion, friction at steady speed, symbolic formula.
+"""The inverse model of an axis in plain Python, states included: force for a motion, friction at steady speed.
 
 All forces come from the kernels of the effects. Sign:
 ``tau = M qdd + F_v qd + F_c sign(qd) + offset + sum of the effects``, equation (2) of the paper without external force.
@@ -8,18 +8,14 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS, Kernel
 from emps_design.errors import InputError
-
-if TYPE_CHECKING:
-    import sympy
 
 Resolved = Sequence[tuple[Effect, np.ndarray]]  # effects with the arrays of their parameters
 
@@ -122,13 +118,10 @@ def states_along(
     change = effect.rate
     if change is None:
         return np.zeros((q.size, 0))
-    from scipy.integrate import solve_ivp
-    from scipy.interpolate import CubicHermiteSpline
-
     start = effect.at_rest(q[0], p, b)
     if q.size < 2:
         return start[None, :]
-    path = CubicHermiteSpline(t, q, v)
+    path = scipy.interpolate.CubicHermiteSpline(t, q, v)
     times, places, speeds = t.tolist(), path.c.T.tolist(), path.derivative().c.T.tolist()
 
     def rate(now: float, x: np.ndarray) -> np.ndarray:
@@ -144,7 +137,7 @@ def states_along(
         return dx
 
     longest = float(np.diff(t).max())
-    return solve_ivp(
+    return scipy.integrate.solve_ivp(
         rate, (t[0], t[-1]), start, "LSODA", t_eval=t, rtol=1e-7, atol=1e-10, max_step=longest
     ).y.T  # fmt: skip
 
@@ -163,58 +156,3 @@ def steady_friction(axis: Axis, v: np.ndarray, q: float = 0.0, t: float = 0.0) -
     settled = axis.replace(effects=[entry for entry in axis.effects if entry.effect.rate is None])
     still = np.zeros(v.size)
     return plant_force(settled, still + q, v, still, still + t)
-
-
-@dataclass(frozen=True)
-class Formula:
-    """The symbolic model: ``force`` = tau, ``values`` of its parameters, and the equations of effects ``beside`` it."""
-
-    force: sympy.Expr
-    values: dict[sympy.Symbol, float]
-    motion: dict[str, sympy.Symbol] = field(repr=False)
-    beside: tuple[tuple[str, str], ...] = ()
-
-    def latex(self) -> str:
-        r"""LaTeX, without dollars, of the equation of the force, and a line for every effect that is not part of it.
-
-        >>> from emps_design.machines import machine
-        >>> print(formula(machine("emps2018")).latex())
-        \tau = F_{c} \operatorname{sign}{\left(\dot q \right)} + F_{v} \dot q + M \ddot q + \mathrm{offset}
-        """
-        import sympy
-
-        lines = [r"\tau = " + sympy.latex(self.force), *(equation for _, equation in self.beside)]
-        return " \\\\\n".join(lines)
-
-
-def formula(axis: Axis) -> Formula:
-    """Return the inverse dynamic model of ``axis`` in SymPy, with the plant's effects that have a closed form.
-
-    Effects of actuator, sensor and controller, and those with states, are listed beside it with their equations. A
-    symbol that two effects share gets the number of the effect.
-    """
-    import sympy
-
-    names = {"q": "q", "v": r"\dot q", "a": r"\ddot q", "t": "t", "tau": r"\tau"}
-    motion = {key: sympy.Symbol(name, real=True) for key, name in names.items()}
-    b = [sympy.Symbol(name, positive=True) for name in ("M", "F_v", "F_c")] + [
-        sympy.Symbol(r"\mathrm{offset}", real=True)
-    ]
-    values = dict(zip(b, map(float, axis.mechanics.array()), strict=True))
-    free = any(entry.effect.takes_dry for entry in axis.effects)
-    dry = 0 if free else b[COULOMB] * sympy.sign(motion["v"])
-    force, beside = b[MASS] * motion["a"] + b[VISCOUS] * motion["v"] + dry + b[OFFSET], []
-    for number, entry in enumerate(axis.effects, start=1):
-        effect = entry.effect
-        if effect.channel != "plant" or effect.expression is None:
-            beside.append((effect.name, effect.equation))
-            continue
-        taken, symbols = {symbol.name for symbol in values}, {}
-        for parameter in effect.parameters:
-            name = parameter.symbol if parameter.symbol not in taken else f"{{{parameter.symbol}}}_{{({number})}}"
-            symbols[parameter.name] = sympy.Symbol(name, real=True)
-            values[symbols[parameter.name]] = entry.parameters[parameter.name]
-        term = effect.expression(motion["q"], motion["v"], motion["t"], motion["tau"], symbols, b)
-        is_mass = effect.force is None and effect.dry is None
-        force += term * motion["a"] if is_mass else term
-    return Formula(force, values, motion, tuple(beside))
