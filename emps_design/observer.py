@@ -19,6 +19,7 @@ from types import FunctionType
 from typing import Any, Protocol
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.effects import Motion
@@ -131,10 +132,8 @@ def _lag(u: np.ndarray, constant: float) -> np.ndarray:
     """Means (n,) over each period of the held ``u`` (n,) after a first-order lag of ``constant`` periods, from u[0]."""
     if constant <= 0.0:
         return u
-    from scipy.signal import lfilter
-
     decay = math.exp(-1.0 / constant)
-    begin, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], u, zi=[u[0]])
+    begin, _ = scipy.signal.lfilter([0.0, 1.0 - decay], [1.0, -decay], u, zi=[u[0]])
     return u + (begin - u) * constant * (1.0 - decay)
 
 
@@ -505,19 +504,17 @@ class _SteadyKalman:
 
     @classmethod
     def of(cls, axis: Axis, force_rate: float, noise: float) -> _SteadyKalman:
-        from scipy.linalg import expm, solve_discrete_are
-
         m, T = axis.mechanics, axis.sampling.period
         continuous = np.zeros((4, 4))
         continuous[0, 1] = 1.0
         continuous[1, 1:] = -m.viscous / m.mass, 1.0 / m.mass, 1.0 / m.mass
-        step = expm(continuous * T)
+        step = scipy.linalg.expm(continuous * T)
         a, push = step[:3, :3], step[:3, 3].copy()
         scale = np.array([noise, noise / T, m.mass * noise / T**2])
         scaled = a * scale / scale[:, None]
         walk = np.diag([0.0, 0.0, force_rate**2 * T / scale[2] ** 2])
         output = np.array([[1.0], [0.0], [0.0]])
-        p = solve_discrete_are(scaled.T, output, walk, np.eye(1))
+        p = scipy.linalg.solve_discrete_are(scaled.T, output, walk, np.eye(1))
         gain = p[:, 0] / (p[0, 0] + 1.0)
         return cls(a, push, gain * scale / noise, noise, T, scale)
 
@@ -527,11 +524,11 @@ class _SteadyKalman:
 
     @property
     def noise_std(self) -> float:
-        from scipy.linalg import solve_discrete_lyapunov
-
         closed = self._closed * self.scale / self.scale[:, None]
         gain = self.gain * self.noise / self.scale
-        return float(math.sqrt(solve_discrete_lyapunov(closed, np.outer(gain, gain))[2, 2]) * self.scale[2])
+        return float(
+            math.sqrt(scipy.linalg.solve_discrete_lyapunov(closed, np.outer(gain, gain))[2, 2]) * self.scale[2]
+        )
 
     def response(self, w: np.ndarray) -> np.ndarray:
         z = np.exp(1j * w * self.period)[:, None, None]
@@ -556,8 +553,6 @@ class _SteadyKalman:
 
 def _force_rate_for(axis: Axis, bandwidth_hz: float, noise: float) -> float:
     """Random walk of the force [N/sqrt(s)] whose Kalman filter has the bandwidth [Hz]."""
-    from scipy.optimize import brentq
-
     w, T = 2.0 * math.pi * bandwidth_hz, axis.sampling.period
     if not 0.5 * SLOWEST / T < bandwidth_hz < 0.2 / T:
         raise InputError(
@@ -569,7 +564,7 @@ def _force_rate_for(axis: Axis, bandwidth_hz: float, noise: float) -> float:
     def excess(log_rate: float) -> float:
         return math.log(_SteadyKalman.of(axis, math.exp(log_rate), noise).bandwidth / w)
 
-    return math.exp(brentq(excess, guess - 6.0, guess + 6.0, xtol=1e-6))
+    return math.exp(scipy.optimize.brentq(excess, guess - 6.0, guess + 6.0, xtol=1e-6))
 
 
 @dataclass(frozen=True)

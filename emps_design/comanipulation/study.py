@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.comanipulation.run import TaskRun, in_threads, run_many, run_task
@@ -20,7 +21,7 @@ from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
 from emps_design.control.impedance.passivity import Clock, impedance_error, sampled_loop
 from emps_design.control.impedance.robustness import VERDICTS, check_mismatch, corner_errors
 from emps_design.control.sampled import MARGINAL
-from emps_design.laws.friction_model import PARAMETERS
+from emps_design.laws.law import PARAMETERS
 from emps_design.messages import Message, grave, note, warning
 from emps_design.request import Request, option, takes
 from emps_design.units import Units
@@ -105,11 +106,9 @@ class MismatchStudy:
         good = np.isin(self.verdict, [VERDICTS.index(name) for name in verdicts])
         if not self.plants:
             return float(good.mean()), float("nan"), float("nan")
-        from scipy.special import betaincinv
-
         n, k = self.plants, int(good[self.corners :].sum())
-        low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
-        high = float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
+        low = float(scipy.special.betaincinv(k, n - k + 1, 0.025)) if k else 0.0
+        high = float(scipy.special.betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
         return k / n, low, high
 
     def plant(self, row: int) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.errors import RecordError
 from emps_design.frequency_response.broadband import Answer, blocks, local_polynomial, welch
@@ -114,11 +115,9 @@ def step_spectra(signals: Signals, step: Step) -> Spectra:
 
 
 def _stretch(signals: Signals, begin: int, periods: int, highest: float) -> Spectra:
-    from scipy.fft import rfft
-
     size = periods * signals.repeats
     part = slice(begin, begin + size)
-    r, *z = (rfft(_level(values[part], periods)) / size for values in (signals.r, signals.dq, signals.u))
+    r, *z = (scipy.fft.rfft(_level(values[part], periods)) / size for values in (signals.r, signals.dq, signals.u))
     both = np.stack(z, axis=-1)
     last = min((r.size - 2) // periods, int(highest * signals.period * signals.repeats + 1e-9))
     line = np.arange(1, last + 1)
@@ -180,11 +179,9 @@ class Distortion:
         """
         if self.odd is None or not self.odd > 0.0:
             return np.zeros(frequency.size)
-        from scipy.ndimage import median_filter
-
         half = 4
         smooth = np.maximum(np.mean(self.odd_power[neighbours(self.odd_lines.size, half)], axis=1), 0.0)
-        usual = median_filter(power, 2 * half + 1, mode="nearest")
+        usual = scipy.ndimage.median_filter(power, 2 * half + 1, mode="nearest")
         return np.interp(frequency, self.odd_lines, smooth) * np.maximum(usual / power, 1.0)
 
     @property
@@ -437,9 +434,7 @@ def _apart(answer: Answer, shorter: Answer) -> np.ndarray:
 
 def _smooth(variance: np.ndarray) -> np.ndarray:
     """The mean of ``variance`` (m,) over neighbouring lines."""
-    from scipy.ndimage import uniform_filter1d
-
-    return np.asarray(uniform_filter1d(variance, AVERAGED, mode="nearest"))
+    return np.asarray(scipy.ndimage.uniform_filter1d(variance, AVERAGED, mode="nearest"))
 
 
 def _quotient_at(frequency: np.ndarray, answer: Answer) -> np.ndarray:

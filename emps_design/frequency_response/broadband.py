@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from emps_design.errors import RecordError
 from emps_design.frequency_response.signals import Signals
@@ -92,10 +93,8 @@ def blocks(signals: Signals, samples: int) -> Iterator[slice]:
 
 def local_polynomial(signals: Signals, part: slice, lowest: float, highest: float) -> Answer:
     """The answer over one block at every (n/2)-th line from ``lowest`` to ``highest`` [Hz]."""
-    from scipy.fft import rfft
-
     size = part.stop - part.start
-    r, dq, u = (_spectrum(values[part], rfft) for values in (signals.r, signals.dq, signals.u))
+    r, dq, u = (_spectrum(values[part], scipy.fft.rfft) for values in (signals.r, signals.dq, signals.u))
     both = np.stack([dq, u], axis=-1)
     step = 1.0 / (size * signals.period)
     low, high = max(NEAR + 1, round(lowest / step)), min(r.size - NEAR - 2, int(highest / step))
@@ -146,8 +145,6 @@ def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answ
 
     Raises :class:`RecordError` for fewer than :data:`FEWEST_BLOCKS`, since the noise follows from their scatter.
     """
-    from scipy.fft import rfft
-
     begins = [b for start, stop in signals.stretches for b in range(start, stop - samples + 1, samples // 2)]
     count = len(begins)
     if count < FEWEST_BLOCKS:
@@ -160,7 +157,7 @@ def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answ
 
     def spectra(begin: int) -> tuple[np.ndarray, np.ndarray]:
         part = slice(begin, begin + samples)
-        r, dq, u = (rfft(_detrended(values[part])) for values in (signals.r, signals.dq, signals.u))
+        r, dq, u = (scipy.fft.rfft(_detrended(values[part])) for values in (signals.r, signals.dq, signals.u))
         return _windowed(r, lines), np.stack([_windowed(channel, lines)[0] for channel in (dq, u)], axis=-1)
 
     tiny = np.finfo(float).tiny

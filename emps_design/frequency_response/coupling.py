@@ -22,6 +22,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.control.linear_plant import VELOCITY, linear_plant
@@ -315,8 +316,6 @@ def _cauer(total: float, pairs: Sequence[tuple[float, float]]) -> tuple[np.ndarr
 
 def _best_fit(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]], delay: float) -> MassChain | None:
     """The best fit from several starts with ``delay`` [s]; None without a valid start, or with too few lines."""
-    from scipy.optimize import least_squares
-
     s = 1j * response.w
     weight = np.sqrt(2.0) / np.hypot(_expected(response.std), SYSTEMATIC)
     best: Any = None
@@ -336,14 +335,14 @@ def _best_fit(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]
             return (residual(x + np.diag(step)) - residual(x)).T / step
 
         start = np.concatenate([np.log(values), [0.0, delay / scale[-1]]])
-        solution = least_squares(residual, start, slopes, x_scale="jac", max_nfev=FIRST_STEPS)
+        solution = scipy.optimize.least_squares(residual, start, slopes, x_scale="jac", max_nfev=FIRST_STEPS)
         if best is None or solution.cost < best[0].cost:
             best = solution, residual, slopes, scale, n
     if best is None:
         return None
     solution, residual, slopes, scale, n = best
     if solution.status == 0:  # the steps ran out
-        solution = least_squares(residual, solution.x, slopes, x_scale="jac", max_nfev=MOST_STEPS)
+        solution = scipy.optimize.least_squares(residual, solution.x, slopes, x_scale="jac", max_nfev=MOST_STEPS)
     theta, count = solution.x * scale, 2 * len(response)
     misfit = float(np.sqrt(2.0 * solution.cost / (count - theta.size)))
     jacobian = solution.jac / scale

@@ -24,6 +24,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
@@ -110,10 +111,8 @@ def excess_variance(
 
 def _usual(ratio: np.ndarray) -> np.ndarray:
     """The mean of noise powers with the running median of ``ratio`` (m,), which is chi-squared with two degrees."""
-    from scipy.ndimage import median_filter
-
     size = min(2 * AROUND + 1, ratio.size)
-    return np.asarray(median_filter(ratio, size, mode="nearest")) / np.log(2.0)
+    return np.asarray(scipy.ndimage.median_filter(ratio, size, mode="nearest")) / np.log(2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,8 +377,6 @@ def longest_blocks(lengths: Sequence[Lines]) -> list[np.ndarray]:
     >>> [f[mask][[0, -1]].tolist() for f, mask in zip((short, long), longest_blocks(lengths))]
     [[49.0, 99.0], [0.5, 48.5]]
     """
-    from scipy.ndimage import median_filter
-
     kept = np.concatenate([lines.frequency[lines.kept] for lines in lengths])
     if len(lengths) == 1 or not kept.size:
         return [np.full(lines.kept.size, lines is lengths[-1]) for lines in lengths]
@@ -391,7 +388,7 @@ def longest_blocks(lengths: Sequence[Lines]) -> list[np.ndarray]:
         row[:] = np.interp(grid, np.log2(lines.frequency), per_hertz, 0.0, 0.0)
     enough = information >= KEPT * np.max(information, axis=0)
     longest = len(lengths) - 1 - np.argmax(enough[::-1], axis=0)
-    longest = median_filter(longest, PER_OCTAVE // 3 | 1, mode="nearest")
+    longest = scipy.ndimage.median_filter(longest, PER_OCTAVE // 3 | 1, mode="nearest")
     nearest = [np.interp(np.log2(lines.frequency), grid, np.arange(grid.size)) for lines in lengths]
     return [longest[np.rint(place).astype(int)] == i for i, place in enumerate(nearest)]
 
@@ -481,9 +478,7 @@ def _near(power: np.ndarray, kind: Callable[..., np.ndarray]) -> np.ndarray:
 
 def _for_few(freedom: float) -> float:
     """Factor on a variance of ``freedom`` degrees so that the circle of known noise still holds 95 %."""
-    from scipy.stats import f
-
-    return float(f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
+    return float(scipy.stats.f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
 
 
 def _words(

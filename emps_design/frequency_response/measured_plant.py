@@ -21,6 +21,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.control.discretisation import Peaks, frequencies_around
@@ -175,14 +176,12 @@ class MeasuredPlant:
         The interpolation changes from a spline for the first row to straight lines for the last, to reflect the
         uncertainty between the lines.
         """
-        from scipy.interpolate import CubicSpline
-
         flat = 1j * self.frequency * self.rows
         logs = (np.log(np.abs(flat)) + 1j * np.unwrap(np.angle(flat), axis=-1)).T
         x = np.log(self.frequency)
         straight = np.zeros((4, x.size - 1, len(self.rows)), complex)
         straight[2], straight[3] = np.diff(logs, axis=0) / np.diff(x)[:, None], logs[:-1]
-        curved = CubicSpline(x, logs, axis=0, bc_type="natural").c
+        curved = scipy.interpolate.CubicSpline(x, logs, axis=0, bc_type="natural").c
         return curved + np.linspace(0.0, 1.0, len(self.rows)) * (straight - curved)
 
     def continuous(self, w: np.ndarray, rows: np.ndarray | int = 0) -> np.ndarray:

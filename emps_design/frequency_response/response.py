@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 
 from emps_design.errors import InputError, nearest_name, one_line
 from emps_design.files import read_bytes, write_aside
@@ -207,8 +208,6 @@ def write_response(path: str | Path, response: FrequencyResponse) -> None:
     columns = response.to_dict()
     with write_aside(path) as aside:
         if path.suffix == ".mat":
-            from scipy.io import savemat
-
             with aside.open("wb") as file:
                 arrays: dict[str, Any] = {name: np.asarray(values)[:, None] for name, values in columns.items()}
                 arrays["response"] = {
@@ -217,7 +216,7 @@ def write_response(path: str | Path, response: FrequencyResponse) -> None:
                     "FrequencyUnit": "Hz",
                     "Ts": 0.0,
                 }
-                savemat(file, arrays)
+                scipy.io.savemat(file, arrays)
         else:
             table = np.column_stack([columns[name] for name in COLUMNS])
             np.savetxt(aside, table, fmt="%.10g", delimiter=",", header=",".join(COLUMNS), comments="")

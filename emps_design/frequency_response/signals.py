@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
 from emps_design.errors import RecordError
 from emps_design.records import Record
@@ -75,26 +76,24 @@ def quantised(
     between the lines. It is rounded to steps at several offsets, and the spectra of the rounding errors are averaged.
     Spectra are normalised by the number of samples.
     """
-    from scipy.fft import irfft, rfft
-
     size = dq.size
     turn = np.abs(1.0 - np.exp(-2j * np.pi * np.arange(size // 2 + 1) / size)) ** 2
     white = step**2 / 12.0 / size * turn[at]
     if step == 0.0 or periods * np.max(white / np.maximum(noise, 1e-300)) < TINY:
         return np.zeros(at.size), 1.0
-    spectrum = rfft(dq) / size
+    spectrum = scipy.fft.rfft(dq) / size
     between = np.ones(turn.size, dtype=bool)
     between[:: at[0]] = False  # the first line is the base period's
     kept, clear = np.zeros(turn.size, complex), at[excited & (np.abs(spectrum[at]) ** 2 > CLEAR * periods * white)]
     kept[clear] = spectrum[clear] / (1.0 - np.exp(-2j * np.pi * clear / size))
-    position, moved = np.cumsum(dq), irfft(kept * size, size)
+    position, moved = np.cumsum(dq), scipy.fft.irfft(kept * size, size)
     moved += _drift(position - moved, periods)
     spread = step * np.sqrt(_noise_power((position - moved) / step, periods) / (12.0 * size))
     random, power, levels = np.random.default_rng(0), np.zeros(turn.size), np.zeros(OFFSETS)
     for i in range(OFFSETS):
         noisy = spread * np.exp(2j * np.pi * random.random(turn.size))
-        x = (moved + irfft(noisy * size, size)) / step + i / OFFSETS
-        rounded = np.abs(rfft(np.rint(x) - x)) ** 2 * 12.0 / size  # over what is white
+        x = (moved + scipy.fft.irfft(noisy * size, size)) / step + i / OFFSETS
+        rounded = np.abs(scipy.fft.rfft(np.rint(x) - x)) ** 2 * 12.0 / size  # over what is white
         power += rounded / OFFSETS
         levels[i] = np.mean(rounded[at[excited]])
     off = _mean_of(np.where(between, power, 0.0), NEAR * periods)[at] * periods / (periods - 1.0)
@@ -114,9 +113,7 @@ def _noise_power(residual: np.ndarray, periods: int) -> np.ndarray:
     repeats. The median of the differences between successive periods is taken, since the last period often contains
     the end of the excitation.
     """
-    from scipy.fft import rfft
-
-    gaps = np.diff(rfft(residual.reshape(periods, -1), axis=1), axis=0)
+    gaps = np.diff(scipy.fft.rfft(residual.reshape(periods, -1), axis=1), axis=0)
     power = 0.5 * np.abs(gaps) ** 2 * 12.0 * periods / residual.size
     usual = np.median(power, axis=0) / np.log(2.0) if periods > 3 else np.mean(power, axis=0)
     level = _mean_of(usual, NEAR)
@@ -141,9 +138,7 @@ def _drift(position: np.ndarray, periods: int) -> np.ndarray:
 
 def _mean_of(power: np.ndarray, lines: int) -> np.ndarray:
     """``power`` (n,) averaged over so many neighbouring ``lines``."""
-    from scipy.ndimage import uniform_filter1d
-
-    return np.asarray(uniform_filter1d(power, lines | 1, mode="reflect"))
+    return np.asarray(scipy.ndimage.uniform_filter1d(power, lines | 1, mode="reflect"))
 
 
 @dataclass(frozen=True)
@@ -334,9 +329,6 @@ def _reference_increments(record: Record) -> np.ndarray:
 
 def _period_of(r: np.ndarray, bias: np.ndarray | None) -> int:
     """Period of ``r`` [samples], the shortest with which at least two periods in a row agree; 0 for none."""
-    from scipy.fft import irfft, next_fast_len, rfft
-    from scipy.signal import find_peaks
-
     active = np.flatnonzero(np.abs(r - np.median(r)) > 0.0)
     if active.size < 2 * SHORTEST:
         return 0
@@ -346,12 +338,12 @@ def _period_of(r: np.ndarray, bias: np.ndarray | None) -> int:
     size_of = np.abs(part)
     usual = float(np.median(size_of[size_of > 1e-6 * np.max(size_of)]))
     limited = np.clip(part, -6.0 * usual, 6.0 * usual)  # single peaks of jerk are no period
-    size = next_fast_len(2 * part.size, real=True)
-    spectrum = rfft(limited, size)
-    correlation = irfft(spectrum.real**2 + spectrum.imag**2, size)[: part.size]
+    size = scipy.fft.next_fast_len(2 * part.size, real=True)
+    spectrum = scipy.fft.rfft(limited, size)
+    correlation = scipy.fft.irfft(spectrum.real**2 + spectrum.imag**2, size)[: part.size]
     overlap = np.arange(part.size, 0, -1) / part.size
     even = correlation[overlap > 0.1] / correlation[0] / overlap[overlap > 0.1]
-    peaks = find_peaks(even, height=CORRELATED)[0]
+    peaks = scipy.signal.find_peaks(even, height=CORRELATED)[0]
     return next((int(lag) for lag in peaks[peaks >= SHORTEST][:CANDIDATES] if _repeats_after(limited, int(lag))), 0)
 
 

@@ -21,6 +21,7 @@ from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.effects import Motion
@@ -208,8 +209,6 @@ def explained_by_frequency(record: Record, cutoff_hz: float, model: Model, units
 
     The parameters are those at ``cutoff_hz`` [Hz]; the dictionary also holds this cut-off and the rule that chose it.
     """
-    from scipy.signal import welch
-
     part, lowest, top = _cutoff_range(record)
 
     def balance(frequency: float) -> tuple[np.ndarray, np.ndarray]:
@@ -221,8 +220,8 @@ def explained_by_frequency(record: Record, cutoff_hz: float, model: Model, units
     value = np.linalg.lstsq(W[rows], force[rows], rcond=None)[0] if rows.any() else np.zeros(W.shape[1])
     W, force = balance(top)
     length = min(len(force), int(FEWEST_PERIODS / 2 / lowest / part.period))
-    frequency, residual_power = welch(force - W @ value, 1.0 / part.period, nperseg=length)
-    _, whole = welch(force, 1.0 / part.period, nperseg=length)
+    frequency, residual_power = scipy.signal.welch(force - W @ value, 1.0 / part.period, nperseg=length)
+    _, whole = scipy.signal.welch(force, 1.0 / part.period, nperseg=length)
     centre = np.geomspace(lowest, top, 1 + int(6 * np.log2(top / lowest)))
     bands = [np.abs(np.log2(np.maximum(frequency, 1e-12) / middle)) <= 1 / 6 for middle in centre]
     explained = [1.0 - float(residual_power[b].sum()) / max(float(whole[b].sum()), 1e-300) for b in bands]

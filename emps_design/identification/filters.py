@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from emps_design.effects import Motion
 from emps_design.errors import InputError
@@ -60,11 +61,13 @@ class _Design(NamedTuple):
 @lru_cache(maxsize=64)
 def _design(kind: str, share: float) -> _Design:
     """The filter with cut-off ``share`` of the Nyquist frequency."""
-    from scipy.signal import butter, cheby1, sosfilt_zi
-
     order = ORDERS[kind]
-    sections = butter(order, share, output="sos") if kind == "butterworth" else cheby1(order, 0.05, share, output="sos")
-    return _Design(order, sections, sosfilt_zi(sections))
+    sections = (
+        scipy.signal.butter(order, share, output="sos")
+        if kind == "butterworth"
+        else scipy.signal.cheby1(order, 0.05, share, output="sos")
+    )
+    return _Design(order, sections, scipy.signal.sosfilt_zi(sections))
 
 
 def share_of_nyquist(cutoff_hz: float, period: float) -> float:
@@ -224,13 +227,11 @@ def _forwards_and_backwards(design: _Design, signal: np.ndarray, share: float, r
 
 def _zero_phase(design: _Design, signal: np.ndarray) -> np.ndarray:
     """Bit-identical to scipy's ``sosfiltfilt``, for second-order sections whose steady state is known."""
-    from scipy.signal import sosfilt
-
     padding = 3 * design.order
     before, after = 2.0 * signal[0] - signal[padding:0:-1], 2.0 * signal[-1] - signal[-2 : -2 - padding : -1]
     signal = np.concatenate([before, signal, after])
     for _ in range(2):
-        signal = sosfilt(design.sections, signal, zi=design.constant * signal[0])[0][::-1]
+        signal = scipy.signal.sosfilt(design.sections, signal, zi=design.constant * signal[0])[0][::-1]
     return signal[padding:-padding]
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.effects.terms import BENT, HIGHEST, LOWEST, POWER
@@ -240,8 +241,6 @@ def settled(filtered: Filtered, model: Model) -> Model:
     if model.point or not model.curved.any():
         return model
     if BENT in model.terms:
-        from scipy.optimize import minimize_scalar
-
         rest, Y = regression(filtered, replace(model, terms=tuple(term for term in model.terms if term != BENT)))
         rest = np.delete(rest, model.names.index("viscous"), axis=1)
         basis = np.linalg.qr(rest / np.maximum(np.linalg.norm(rest, axis=0), 1e-300))[0]
@@ -251,7 +250,9 @@ def settled(filtered: Filtered, model: Model) -> Model:
             column = column - basis @ (basis.T @ column)
             return float(column @ Y) ** 2 / max(float(column @ column), 1e-300)
 
-        best = minimize_scalar(lambda power: -explained(power), bounds=(LOWEST, HIGHEST), method="bounded")
+        best = scipy.optimize.minimize_scalar(
+            lambda power: -explained(power), bounds=(LOWEST, HIGHEST), method="bounded"
+        )
         model = replace(model, point={POWER.name: float(best.x)})
     W, Y = regression(filtered, model)
     return model.around(np.linalg.lstsq(W, Y, rcond=None)[0])

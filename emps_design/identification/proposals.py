@@ -19,6 +19,7 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.effects.effect import VISCOUS
@@ -156,9 +157,7 @@ def late_reference(record: Record) -> Record:
 
 def _repeated(state: np.ndarray, residual: np.ndarray, t: np.ndarray, apart: float) -> float:
     """Power of the part of ``residual`` (n,) that repeats with ``state`` (n, k); 0 where it is not significant."""
-    from scipy.spatial import cKDTree
-
-    near = cKDTree(state).query(state, min(len(state), WITHIN))[1]
+    near = scipy.spatial.cKDTree(state).query(state, min(len(state), WITHIN))[1]
     other = np.abs(t[near] - t[:, None]) > apart
     other &= np.cumsum(other, axis=1) <= NEIGHBOURS
     count = other.sum(axis=1)
@@ -177,12 +176,10 @@ def _repeated(state: np.ndarray, residual: np.ndarray, t: np.ndarray, apart: flo
 
 def _passes(state: np.ndarray, t: np.ndarray, time: float, apart: float) -> float:
     """Mean number of passes of the same ``state`` (n, k), within the distance moved in a correlation ``time`` [s]."""
-    from scipy.spatial import cKDTree
-
     step = max(1, round(time / float(np.median(np.diff(t)))))
     radius = float(np.median(np.linalg.norm(state[step:] - state[:-step], axis=1)))
     queries = np.arange(0, len(t), max(1, len(t) // SAMPLED))
-    times = [np.sort(t[near]) for near in cKDTree(state).query_ball_point(state[queries], radius)]
+    times = [np.sort(t[near]) for near in scipy.spatial.cKDTree(state).query_ball_point(state[queries], radius)]
     return float(np.mean([1 + np.sum(np.diff(visits) > apart) for visits in times]))
 
 
@@ -315,11 +312,9 @@ class Strokes:
 
     def chance(self, whole: np.ndarray, without: np.ndarray) -> float:
         """p-value of the mean log ratio of the errors ``without`` and ``whole`` over the strokes (Student's t)."""
-        from scipy.stats import t as student
-
         gain = np.log(np.maximum(without, 1e-300)) - np.log(np.maximum(whole, 1e-300))
         deviation = max(float(np.std(gain, ddof=1)) / np.sqrt(self.count), 1e-300)
-        return float(student.sf(float(np.mean(gain)) / deviation, self.count - 1))
+        return float(scipy.stats.t.sf(float(np.mean(gain)) / deviation, self.count - 1))
 
 
 def solved(W: np.ndarray, Y: np.ndarray, resists: int = 0) -> np.ndarray:
@@ -331,8 +326,6 @@ def solved(W: np.ndarray, Y: np.ndarray, resists: int = 0) -> np.ndarray:
     value = np.linalg.lstsq(W, Y, rcond=None)[0]
     if not np.any(value[:resists] < 0.0):
         return np.asarray(value)
-    from scipy.optimize import lsq_linear
-
     lower = np.where(np.arange(W.shape[1]) < resists, 0.0, -np.inf)
     size = np.maximum(np.linalg.norm(W, axis=0), 1e-300)  # scaled: else small numbers are lost in the tolerance
-    return np.asarray(lsq_linear(W / size, Y, (lower, np.inf), method="bvls").x / size)
+    return np.asarray(scipy.optimize.lsq_linear(W / size, Y, (lower, np.inf), method="bvls").x / size)

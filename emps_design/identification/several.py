@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.effects.terms import TERMS
@@ -78,8 +79,6 @@ class SeveralIdentifications(Viewed):
 
     def table(self) -> list[dict[str, Any]]:
         """One row per parameter: mean, spread between records, mean deviation within one, drift per record."""
-        from scipy.stats import linregress
-
         rows = []
         for i, quantity in enumerate(self.identifications[0].fitted.quantities):
             column = self.values[:, i]
@@ -87,7 +86,7 @@ class SeveralIdentifications(Viewed):
             within = np.array(stds, dtype=float)  # NaN where a record does not determine it
             slope, p_value = (0.0, 1.0) if len(column) >= 3 else (None, None)  # two records tell no drift
             if len(column) >= 3 and np.ptp(column) > 0:
-                line = linregress(np.arange(len(column)), column)
+                line = scipy.stats.linregress(np.arange(len(column)), column)
                 slope, p_value = float(line.slope), float(line.pvalue)
             rows.append(
                 {
@@ -110,10 +109,8 @@ class SeveralIdentifications(Viewed):
 
         A further record's parameters lie in its intervals with 95 % probability (Student's t).
         """
-        from scipy.stats import t
-
         first, count = self.identifications[0], len(self.identifications)
-        reach = float(t.ppf(0.975, count - 1)) * np.sqrt(1.0 + 1.0 / count)
+        reach = float(scipy.stats.t.ppf(0.975, count - 1)) * np.sqrt(1.0 + 1.0 / count)
         parameters = {}
         for row in self.table():
             half = float(reach * row["spread"])

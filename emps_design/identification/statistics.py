@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.errors import InputError
 from emps_design.identification.filters import BLOCK
@@ -70,8 +71,6 @@ def long_run(
     >>> round(float(statistics.std[0]) * 4000**0.5, 1), statistics.effective_samples > 3000
     (1.0, True)
     """
-    from scipy.stats import t as student
-
     Z = W if Z is None else Z
     n = int(used.sum())
     if n < ROWS_PER_ORDER:
@@ -96,7 +95,7 @@ def long_run(
         order=order,
         correlation_time=0.5 * period * integral,
         effective_samples=n / integral,
-        quantile=float(student.ppf(0.975, max(n / integral / (2 * order), 2.0))),
+        quantile=float(scipy.stats.t.ppf(0.975, max(n / integral / (2 * order), 2.0))),
     )
 
 
@@ -147,13 +146,12 @@ def residual_bootstrap(
     0.05
     """
     from arch.bootstrap import StationaryBootstrap
-    from scipy.signal import lfilter
 
     phi, variance = autoregression(spread.autocovariance, spread.order)
     whiten = np.concatenate([[1.0], -phi])
     # Only rows whose predecessors in the model were all used.
     whole = np.convolve(~used, np.ones(spread.order + 1))[: len(used)] < 0.5
-    innovations = lfilter(whiten, [1.0], residual)[whole]
+    innovations = scipy.signal.lfilter(whiten, [1.0], residual)[whole]
     innovations -= innovations.mean()
     innovations *= np.sqrt(variance / np.mean(innovations**2))
     solve = np.linalg.solve(W.T @ W, W.T)
@@ -166,7 +164,7 @@ def residual_bootstrap(
         while len(buffer) < settled + len(residual):
             buffer = np.concatenate([buffer, next(redrawn)[0][0]])
         drawn, buffer = np.split(buffer, [settled + len(residual)])
-        estimates.append(solve @ (lfilter([1.0], whiten, drawn)[settled:] * used))
+        estimates.append(solve @ (scipy.signal.lfilter([1.0], whiten, drawn)[settled:] * used))
     return np.cov(np.array(estimates), rowvar=False)
 
 
@@ -203,17 +201,13 @@ def autoregression(covariance: np.ndarray, order: int) -> tuple[np.ndarray, floa
     >>> coefficients.tolist(), variance
     ([0.5], 1.5)
     """
-    from scipy.linalg import solve_toeplitz
-
-    phi = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
+    phi = scipy.linalg.solve_toeplitz(covariance[:order], covariance[1 : order + 1])
     predicted = phi @ covariance[1 : order + 1]
     return phi, max(float(covariance[0] - predicted), 1e-12 * float(covariance[0]) + 1e-300)
 
 
 def _model(covariance: np.ndarray, order: int, n: int) -> np.ndarray:
     """Autocovariance of the autoregressive model, up to where it is negligible; ArithmeticError if not stationary."""
-    from scipy.signal import lfilter, lfiltic
-
     phi, _ = autoregression(covariance, order)
     slowest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -phi])))))
     if not slowest < 1.0:
@@ -221,18 +215,18 @@ def _model(covariance: np.ndarray, order: int, n: int) -> np.ndarray:
     length = int(min(n, max(order + 1, np.ceil(np.log(NEGLIGIBLE) / np.log(max(slowest, 1e-3))))))
     known = covariance[:order]
     denominator = np.concatenate([[1.0], -phi])
-    state = lfiltic([1.0], denominator, known[::-1])
-    rest, _ = lfilter([1.0], denominator, np.zeros(max(length - order, 0)), zi=state)
+    state = scipy.signal.lfiltic([1.0], denominator, known[::-1])
+    rest, _ = scipy.signal.lfilter([1.0], denominator, np.zeros(max(length - order, 0)), zi=state)
     return np.concatenate([known, rest])
 
 
 def _convolve(model: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Product of the Toeplitz matrix of ``model`` with ``columns`` (n, p), without the matrix."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = next_fast_len(len(columns) + len(model) - 1, real=True)  # long enough against circular wrap-around
+    size = scipy.fft.next_fast_len(len(columns) + len(model) - 1, real=True)  # long enough against circular wrap-around
     kernel = np.zeros(size)
     kernel[: len(model)] = model
     kernel[size - len(model) + 1 :] = model[:0:-1]
-    spectrum = rfft(kernel)
-    return np.column_stack([irfft(spectrum * rfft(column, size), size)[: len(columns)] for column in columns.T])
+    spectrum = scipy.fft.rfft(kernel)
+    return np.column_stack(
+        [scipy.fft.irfft(spectrum * scipy.fft.rfft(column, size), size)[: len(columns)] for column in columns.T]
+    )

@@ -22,6 +22,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.importing.sanity import BEYOND_LIMIT, COARSER, check_against, check_motion, odd_increments
@@ -271,26 +272,22 @@ def _gain_changed(replay: LawReplay) -> str:
 
 def _command_low_passed(replay: LawReplay) -> str:
     """Explanation by a first-order low-pass of the recorded command, "" where it does not fit."""
-    from scipy.signal import lfilter
-
     remaining = {}
     for corner in CORNERS_HZ:
         keep = _pole(corner, replay.record.period)
-        remaining[corner] = _remaining_share(replay, lfilter([1.0 - keep], [1.0, -keep], replay.wanted))
+        remaining[corner] = _remaining_share(replay, scipy.signal.lfilter([1.0 - keep], [1.0, -keep], replay.wanted))
     corner = min(remaining, key=lambda corner: remaining[corner])
     return f"the command is recorded behind a low-pass of about {corner:g} Hz" if remaining[corner] < EXPLAINS else ""
 
 
 def _position_low_passed(replay: LawReplay) -> str:
     """Explanation by a first-order low-pass of the recorded position, "" where it does not fit."""
-    from scipy.signal import lfilter
-
     short = replay.record.until(TRIED)
     inside, tried = np.arange(len(replay.record)) < len(short), np.zeros(len(replay.record))
     remaining = {}
     for corner in CORNERS_HZ:
         keep = _pole(corner, short.period)
-        before, _ = lfilter([1.0, -keep], [1.0 - keep], short.q, zi=[-keep / (1.0 - keep) * short.q[0]])
+        before, _ = scipy.signal.lfilter([1.0, -keep], [1.0 - keep], short.q, zi=[-keep / (1.0 - keep) * short.q[0]])
         tried[: len(short)] = commands(replay.law, replace(short, q=before), replay.limit)
         remaining[corner] = _remaining_share(replay, tried, inside)
     corner = min(remaining, key=lambda corner: remaining[corner])

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.control.velocity.design import design_velocity_loop
@@ -365,9 +366,7 @@ def _sensor_reading(n: Mapping[str, float], force: np.ndarray, v: np.ndarray, pe
 
 
 def _low_passed(signal: np.ndarray, gain: float, decay: float) -> np.ndarray:
-    from scipy.signal import lfilter
-
-    return lfilter([gain], [1.0, -decay], signal)
+    return scipy.signal.lfilter([gain], [1.0, -decay], signal)
 
 
 @dataclass(frozen=True)

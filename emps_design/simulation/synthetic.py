@@ -14,6 +14,7 @@ import io
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis
 from emps_design.effects.sizes import sizes
@@ -248,7 +249,5 @@ def synthetic_record(
 
 def _force_noise(random: np.random.Generator, n: int, period: float) -> np.ndarray:
     """First-order noise (n,) [N] with the level and band of an ordinary axis."""
-    from scipy.signal import lfilter
-
     decay = float(np.exp(-2.0 * np.pi * FORCE_BAND * period))
-    return FORCE_NOISE * lfilter([1.0], [1.0, -decay], random.standard_normal(n) * np.sqrt(1.0 - decay**2))
+    return FORCE_NOISE * scipy.signal.lfilter([1.0], [1.0, -decay], random.standard_normal(n) * np.sqrt(1.0 - decay**2))

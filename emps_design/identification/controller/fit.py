@@ -19,8 +19,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
+import scipy
 
 from emps_design.identification.controller.regressors import (
     COLUMNS,
@@ -147,7 +146,7 @@ def filtered(filters: tuple[CommandFilter, ...], columns: np.ndarray, period: fl
     first = columns[:1]
     rest = columns - first
     for stage in filters:
-        rest = lfilter(*stage.coefficients(period), rest, axis=0)
+        rest = scipy.signal.lfilter(*stage.coefficients(period), rest, axis=0)
     return rest + first
 
 
@@ -281,7 +280,7 @@ def solve(
         tried = np.geomspace(low, high, count)
         best = int(np.argmin([at(wi)[0] for wi in tried.tolist()]))
         low, high = tried[max(best - 1, 0)], tried[min(best + 1, count - 1)]
-    minimum = minimize_scalar(
+    minimum = scipy.optimize.minimize_scalar(
         lambda x: at(np.exp(x))[0] + c.rest,
         bounds=(np.log(low), np.log(high)),
         method="bounded",
