@@ -22,7 +22,7 @@ from emps_design.effects.effect import MASS
 from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
-from emps_design.simulation.request import ClosedLoopRun
+from emps_design.simulation.run import ClosedLoopRun
 
 MOST = 128e6  # bytes of residuals in the cache, most recently used
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from emps_design.axis import Axis, Mechanics
 from emps_design.errors import AxisError, EmpsError, InputError, RankError, RecordError, SimulationError
@@ -38,8 +39,7 @@ from emps_design.messages import Message, warning
 from emps_design.observer import motor_force, with_acting_command
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
-from emps_design.simulation.request import ClosedLoopRun
-from emps_design.simulation.run import driven_by
+from emps_design.simulation.run import ClosedLoopRun, driven_by
 
 ITERATIONS = 8
 WEAK_INSTRUMENT = 0.1  # share of a column explained by its instrument, below which the instrument is useless
@@ -253,8 +253,6 @@ def hausman_test(solution: Solution, shift: float) -> HausmanTest:
 
     ``shift`` is the largest difference between the two estimates, in standard deviations.
     """
-    from scipy.stats import chi2
-
     problem = solution.problem
     # Only rows as far apart as the band resolves: those between them are no independent evidence.
     steps = problem.filtered.resolved_steps
@@ -278,7 +276,7 @@ def hausman_test(solution: Solution, shift: float) -> HausmanTest:
     spread = long_run(both, fit.residual, used, problem.filtered.period * steps)
     extra = slice(W.shape[1], None)
     statistic = float(fit.value[extra] @ np.linalg.solve(spread.covariance[extra, extra], fit.value[extra]))
-    return HausmanTest(statistic, missed.shape[1], float(chi2.sf(statistic, missed.shape[1])), shift)
+    return HausmanTest(statistic, missed.shape[1], float(scipy.stats.chi2.sf(statistic, missed.shape[1])), shift)
 
 
 def _solved(Z: np.ndarray, problem: Regression) -> Solution:

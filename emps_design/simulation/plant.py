@@ -24,15 +24,7 @@ from emps_design.request import takes
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.kernels import baseline as core, hold_loop as stepper, motion
 from emps_design.simulation.kernels.compile import address
-from emps_design.simulation.request import (
-    ClosedLoopRun,
-    OpenLoopRun,
-    intention_columns,
-    motor_rows,
-    positive,
-    signal,
-)
-from emps_design.simulation.run import Run
+from emps_design.simulation.run import ClosedLoopRun, OpenLoopRun, Run, intention_columns, motor_rows, positive, signal
 
 # In the order of the rows of the table of hooks.
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
@@ -506,7 +498,7 @@ class Plant:
         }
         return {**parts, "residual": sum(parts.values()) - 2.0 * parts["kinetic"]}
 
-    def _intended(self, intention: Any, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
+    def _intended(self, intention: np.ndarray | None, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Columns that the hand's intention writes to its parameters at every sample, and their places."""
         if intention is None:  # the hand holds position 0, the default of its parameters
             return _NO_SIGNALS, _NO_SLOTS
