@@ -1,270 +1,44 @@
 """The axis: what is known about one machine, in a TOML file and in Python.
 
-Its tables are mechanics, drive, sampling, controller and effects, with their keys, units and bounds. Sign convention:
-``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset`` (load side, SI). An invalid axis is reported in one line, in the
-units of the axis.
+Its tables are mechanics, drive, sampling, controller, record and effects. An invalid axis is reported in one line, in
+the units of the axis.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    SerializerFunctionWrapHandler,
-    ValidationError,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
-from emps_design.effects import Effect, Parameter, get_effect
 from emps_design.errors import AxisError, InputError, nearest_name, one_line
 from emps_design.files import read_bytes
-from emps_design.laws import (
-    NONE,
-    Finite,
-    NonNegative,
-    Positive,
-    checked_parameters,
-    field_at,
-    fields_of,
-    fields_within,
-    known_laws,
-    leaves,
-    unit_of,
-)
+from emps_design.laws import NONE, Controller, field_at, fields_of, fields_within, leaves
 from emps_design.laws.estimators import NAME, TABLE
 from emps_design.laws.law import NUMBER, RECORDED
 from emps_design.records import Record
 from emps_design.records.layout import Column, ColumnMap
-from emps_design.units import COMMANDS, Units, check_command_unit
+from emps_design.tables import (
+    BASELINE as BASELINE,
+    NO_LIMIT as NO_LIMIT,
+    AxisEffect,
+    AxisTable,
+    Drive,
+    Mechanics,
+    Sampling,
+    unit_of,
+)
+from emps_design.units import Units
 from emps_design.view import Table, View, Viewed
 
 MAX_BYTES = 1_000_000  # of an axis file
 NEW_LINE = "\n"
-NO_LIMIT = 1e8  # largest command where the limit is unknown: accepted in every unit
 LIMIT = {"voltage_limit", "command_limit"}  # two keys of a drive for one number
-
-# The numbers of the baseline, :class:`Mechanics`, by the names of identification and diagnosis: an axis file calls the
-# constant force ``offset``. Bounds and scales are those of a fit of an ordinary linear axis.
-BASELINE = (
-    Parameter("mass", "M", "kg", lower=1e-6, text="load-side equivalent mass", scale=1.0),
-    Parameter("viscous", "F_v", "N/(m/s)", lower=0.0, text="viscous friction", scale=10.0),
-    Parameter("coulomb", "F_c", "N", lower=0.0, text="Coulomb friction", scale=1.0),
-    Parameter("constant_force", "F_0", "N", text="constant force", scale=1.0),
-)
-
-
-class AxisTable(BaseModel):
-    """A table of an axis file, which refuses unknown keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Mechanics(AxisTable):
-    """Load-side mechanics of the baseline inverse dynamic model, equation (2)."""
-
-    mass: Positive = Field(description="load-side equivalent mass M", json_schema_extra={"unit": "kg"})
-    viscous: NonNegative = Field(description="viscous friction F_v", json_schema_extra={"unit": "N/(m/s)"})
-    coulomb: NonNegative = Field(description="Coulomb friction F_c", json_schema_extra={"unit": "N"})
-    offset: Finite = Field(0.0, description="constant force", json_schema_extra={"unit": "N"})
-
-    def array(self) -> np.ndarray:
-        """Mass, viscous, coulomb, constant force as the array ``b`` of the kernels [kg, N/(m/s), N, N]."""
-        return np.array([self.mass, self.viscous, self.coulomb, self.offset])
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """The same numbers by the names of :data:`BASELINE`."""
-        return {parameter.name: x for parameter, x in zip(BASELINE, self.array().tolist(), strict=True)}
-
-    @classmethod
-    def table(cls, b: Sequence[float] | np.ndarray) -> dict[str, float]:
-        """The ``[mechanics]`` table of an axis file with the numbers ``b`` (4,) of :meth:`array`.
-
-        >>> Mechanics.table([95.0, 200.0, 20.0, -3.0])
-        {'mass': 95.0, 'viscous': 200.0, 'coulomb': 20.0, 'offset': -3.0}
-        """
-        return dict(zip(cls.model_fields, map(float, b), strict=True))
-
-
-class Drive(AxisTable):
-    """The drive chain, equation (1): force = G_tau u, with G_tau given or as G_i r k_t of a data sheet.
-
-    The command u, as recorded, is a voltage that sets the current, the current itself, a torque or force, or the duty
-    of a motor without a current loop. Quantities with a command are in ``command_unit``.
-    """
-
-    command: Literal["voltage", "current", "torque", "force", "duty"] = Field(
-        "voltage", description="what the command of a record is"
-    )
-    command_unit: str = Field("V", description="what that is counted in")
-    force_gain: Positive = Field(description="G_tau = G_i r k_t", json_schema_extra={"unit": "N/V"})
-    current_gain: Positive | None = Field(None, description="G_i", json_schema_extra={"unit": "A/V"})
-    reduction: Positive | None = Field(None, description="r", json_schema_extra={"unit": "rad/m"})
-    torque_constant: Positive | None = Field(None, description="k_t", json_schema_extra={"unit": "N m/A"})
-    command_limit: Positive = Field(10.0, description="largest voltage", json_schema_extra={"unit": "V"})
-    current_time_constant: NonNegative = Field(
-        0.0, description="time constant of the current loop, 0: ideal", json_schema_extra={"unit": "s"}
-    )
-    back_emf: NonNegative = Field(
-        0.0, description="back-EMF, of a motor without a current loop", json_schema_extra={"unit": "volt/(m/s)"}
-    )
-    supply: Positive | None = Field(
-        None, description="supply voltage of a duty, where no record has it", json_schema_extra={"unit": "volt"}
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _one_spelling(cls, table: Any) -> Any:
-        if not isinstance(table, dict):
-            return table
-        table, command = _force_gain_from_data_sheet(table), table.get("command", "voltage")
-        if command not in COMMANDS:
-            return table
-        unit = table.get("command_unit", COMMANDS[command])
-        if isinstance(unit, str):
-            table["command_unit"] = check_command_unit(command, unit)
-        limits = [table[key] for key in ("voltage_limit", "command_limit") if key in table]
-        if command != "voltage" and table.pop("voltage_limit", None) is not None:
-            raise ValueError(f"voltage_limit: found one where the command is a {command}, expected command_limit")
-        if len(limits) == 2 and limits[0] != limits[1]:
-            raise ValueError(
-                f"voltage_limit: found {limits[0]!r} beside command_limit {limits[1]!r}, expected one of them"
-            )
-        table.pop("voltage_limit", None)
-        table.setdefault("command_limit", *limits[:1] or ({"voltage": 10.0, "duty": 1.0}.get(command, NO_LIMIT),))
-        if command != "duty" and table.get("supply") is not None:
-            raise ValueError(f"supply: found one where the command is a {command}, expected it of a duty alone")
-        if command not in ("voltage", "duty") and table.get("back_emf"):
-            raise ValueError(f"back_emf: found one where the command is a {command}, whose loop takes no notice of it")
-        return table
-
-    @property
-    def gain(self) -> float:
-        """Force per unit of the command [N/V, N per command unit]: G_tau, for a duty times the supply.
-
-        Raises :class:`AxisError` for a duty without a supply.
-        """
-        if self.command != "duty":
-            return self.force_gain
-        if self.supply is None:
-            raise AxisError(
-                "drive.supply: missing, expected the supply that the duty is a share of, or a record in which a column "
-                "is mapped to it"
-            )
-        return self.force_gain * self.supply
-
-    @property
-    def braking(self) -> float:
-        """Braking force of the back-EMF per velocity [N/(m/s)]; 0 behind a current loop."""
-        return self.force_gain * self.back_emf
-
-    @model_serializer(mode="wrap")
-    def _as_written(self, table: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Write a voltage command in V with its ``voltage_limit``, and leave out defaults."""
-        own = table(self)
-        defaults = {"command": "voltage", "command_unit": COMMANDS[self.command], "back_emf": 0.0}
-        return {
-            "voltage_limit" if key == "command_limit" and self.command == "voltage" else key: value
-            for key, value in own.items()
-            if key not in defaults or value != defaults[key]
-        }
-
-
-def _force_gain_from_data_sheet(table: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a drive's table with the force gain from its data sheet, if that is complete and no other is given."""
-    names = ("current_gain", "reduction", "torque_constant")
-    if not any(name in table for name in names):
-        return dict(table)
-    if any(name not in table for name in names):
-        raise ValueError(f"give all of {', '.join(names)}, or force_gain alone")
-    try:
-        return {"force_gain": math.prod(float(table[name]) for name in names), **table}
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{', '.join(names)}: expected three numbers") from error
-
-
-class Sampling(AxisTable):
-    """Clock and encoder."""
-
-    period: Positive = Field(description="sampling period", json_schema_extra={"unit": "s"})
-    encoder_resolution: NonNegative = Field(
-        0.0, description="one step of the encoder on the load side, 0: exact", json_schema_extra={"unit": "m"}
-    )
-    computation_delay: Annotated[int, Field(ge=0, le=1000, strict=True)] = Field(
-        0, description="whole samples between measurement and voltage", json_schema_extra={"unit": "samples"}
-    )
-
-
-class Controller(AxisTable):
-    """The control law: its ``kind`` and the ``parameters`` of its table.
-
-    A parameter reads as an attribute, None if absent: ``axis.controller.kp``; an inner table is a dict.
-    """
-
-    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance, cascade, p or none")
-    parameters: dict[str, Any]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_flat_table(cls, table: Any) -> Any:
-        if not isinstance(table, dict):
-            return table
-        kind = table.get("kind", NONE)
-        kinds = [*known_laws(), NONE]
-        if kind not in kinds:
-            expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
-            problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
-            raise ValidationError.from_exception_data("Controller", [cast(Any, problem)])
-        parameters = checked_parameters(kind, {k: v for k, v in table.items() if k != "kind"})
-        return {"kind": kind, "parameters": parameters}
-
-    @model_serializer
-    def _flat_table(self) -> dict[str, Any]:
-        return {"kind": self.kind, **self.parameters}
-
-    def __getattr__(self, name: str) -> Any:
-        if not name.startswith("_") and name in fields_of():
-            return self.parameters.get(name)
-        raise AttributeError(f"controller: found {name!r}, expected one of kind, {', '.join(fields_of())}")
-
-
-class AxisEffect(AxisTable):
-    """One effect of an axis: its kind and its parameters, written as an ``[[effects]]`` table."""
-
-    kind: str
-    parameters: dict[str, Finite]
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_flat_table(cls, table: Any) -> Any:
-        if isinstance(table, dict) and "parameters" not in table:
-            kind = {"kind": table["kind"]} if "kind" in table else {}
-            return {**kind, "parameters": {k: v for k, v in table.items() if k != "kind"}}
-        return table
-
-    @model_validator(mode="after")
-    def _known(self) -> AxisEffect:
-        self.effect.values(self.parameters)
-        self.parameters.update(self.effect.completed(self.parameters))
-        return self
-
-    @property
-    def effect(self) -> Effect:
-        """The physics behind ``kind``."""
-        return get_effect(self.kind)
-
 
 TABLES: dict[str, type[AxisTable]] = {
     "mechanics": Mechanics,

@@ -38,8 +38,7 @@ from emps_design.compensation.feedforward import FeedForward, named_effects, why
 from emps_design.effects import Effect
 from emps_design.effects.effect import ADDED
 from emps_design.errors import AxisError, InputError
-from emps_design.laws import Law, get_law, law_of
-from emps_design.laws.law import LawKind, LawTable, Positive, parameter
+from emps_design.laws import Law, LawKind, LawTable, Positive, get_law, law_of, parameter
 from emps_design.observer import ForceObserver, force_observer
 from emps_design.simulation.kernels.inverse import PASSES
 
@@ -199,11 +198,11 @@ def _with_prefix(program: Program, prefix: str) -> Program:
     return rewritten(program, rename)
 
 
-def _gains(p: Any, axis: Axis, period: float) -> list[float]:
+def _gains(p: ObserverTable, axis: Axis, period: float) -> list[float]:
     return observer_of(axis, p.cutoff).gains
 
 
-def _equations(p: Any, axis: Axis, period: float) -> tuple[str, ...]:
+def _equations(p: ObserverTable, axis: Axis, period: float) -> tuple[str, ...]:
     period, gain, alpha, mass, viscous, coulomb, offset, rest = _gains(p, axis, period)
     terms = {hook: [part.term for part in observed_parts(axis) if part.hook == hook] for hook in ADDED}
     names = dict(zip(ADDED, ("e[k]", "c[k]", "m[k]"), strict=True))
@@ -226,7 +225,7 @@ def _equations(p: Any, axis: Axis, period: float) -> tuple[str, ...]:
     )
 
 
-OBSERVER = LawKind(
+OBSERVER: LawKind[Axis] = LawKind(
     name="force_observer",
     label="on-line observer of the external force",
     source="paper, (19)",
@@ -274,7 +273,7 @@ class Block:
     """A law with its numbers as a block for a drive: reference, position and force in, command out, every sample."""
 
     axis: Axis
-    kind: LawKind
+    kind: LawKind[Axis]
     law: Law
     program: Program
     parameters: dict[str, Any]

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import field_in
+from emps_design.axis import Axis, field_in
 from emps_design.codegen import languages
 from emps_design.codegen.block import COMMAND, Ahead, Block
 from emps_design.codegen.languages import functions_in_c, functions_in_st, st_number
@@ -81,25 +81,25 @@ def _times(factor: float) -> Value:
     return lambda gain, axis: factor * gain
 
 
-def side_of(axis: Any) -> str:
+def side_of(axis: Axis) -> str:
     """The side on which :func:`drive_settings` counts force and speed: ``motor`` or ``axis``."""
     return "motor" if axis.drive.reduction else "axis"
 
 
-def _force(gain: float, axis: Any) -> float:
+def _force(gain: float, axis: Axis) -> float:
     return float(gain * axis.drive.gain) / (axis.drive.reduction or 1.0) ** 2
 
 
-def _turns(axis: Any) -> bool:
+def _turns(axis: Axis) -> bool:
     """Whether the motion on that side is a rotation."""
     return axis.motion == "rotary" or axis.drive.reduction is not None
 
 
-def _torque(gain: float, axis: Any) -> float | None:
+def _torque(gain: float, axis: Axis) -> float | None:
     return _force(gain, axis) if _turns(axis) else None
 
 
-def _current(gain: float, axis: Any) -> float | None:
+def _current(gain: float, axis: Axis) -> float | None:
     """In steps of 0.1 mA; None for a command in % of rated, whose amperes are not known."""
     amperes = axis.units.command_in("A")
     if amperes is None or not _turns(axis):
@@ -107,7 +107,7 @@ def _current(gain: float, axis: Any) -> float | None:
     return 1e4 * gain * amperes / (axis.drive.reduction or 1.0)
 
 
-def _crossover(gain: float, axis: Any) -> float:
+def _crossover(gain: float, axis: Axis) -> float:
     return float(gain * axis.drive.gain / axis.mechanics.mass / (2.0 * math.pi))
 
 
@@ -137,7 +137,7 @@ SETTINGS = (
 )  # fmt: skip
 
 
-def drive_settings(axis: Any, gains: dict[str, float]) -> list[dict[str, Any]]:
+def drive_settings(axis: Axis, gains: dict[str, float]) -> list[dict[str, Any]]:
     """The parameters of each drive for ``gains`` of a PI cascade on ``axis``: position.kp, velocity.kp, .ti, SI.
 
     Each row also has its ``side``, as :func:`side_of` gives it.
@@ -156,7 +156,7 @@ def drive_settings(axis: Any, gains: dict[str, float]) -> list[dict[str, Any]]:
     return rows
 
 
-def gains_of(axis: Any) -> dict[str, float]:
+def gains_of(axis: Axis) -> dict[str, float]:
     """The gains of the axis's own controller that drives have names for; none where it is no PI cascade."""
     table = axis.controller.parameters
     velocity, position = table.get("velocity"), table.get("position")

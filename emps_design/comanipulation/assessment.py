@@ -68,7 +68,7 @@ from emps_design.control.margins import HERTZ
 from emps_design.control.sampled import MARGINAL, NestedLoop, worst_loop
 from emps_design.control.view import number
 from emps_design.errors import SpecificationError
-from emps_design.laws.friction_model import PARAMETERS, left_out
+from emps_design.laws.law import PARAMETERS, left_out
 from emps_design.messages import Message, grave, note, warning
 from emps_design.request import Request, option, takes
 from emps_design.units import Units
@@ -94,7 +94,7 @@ SHARES = (
 )  # fmt: skip
 
 
-def cautions_of(assessment: Any, document: dict[str, Any]) -> list[Message]:
+def cautions_of(assessment: ImpedanceAssessment, document: dict[str, Any]) -> list[Message]:
     """Return the messages on the :class:`ImpedanceAssessment`, whose other results are in ``document``."""
     axis, law, units = assessment.axis, assessment.law, assessment.axis.units
     force, carriage, shown = units.word("force"), units.word("carriage"), units.quantity

@@ -43,6 +43,7 @@ from emps_design.laws.library.impedance import (
     WAITING,
     impedance,
 )
+from emps_design.progress import Progress, no_progress
 from emps_design.simulation.environment import HAND, Hand, hand_force
 from emps_design.simulation.kernels import motion
 from emps_design.simulation.kernels.compile import address, built_in, cached, inlined, pointer
@@ -191,7 +192,12 @@ def run_task(axis: Axis, law: TaskLaw, task: Task) -> TaskRun:
 
 
 def run_many(
-    axis: Axis, laws: Sequence[TaskLaw], task: Task, workers: int = 1, progress: Any = None, machine: Axis | None = None
+    axis: Axis,
+    laws: Sequence[TaskLaw],
+    task: Task,
+    workers: int = 1,
+    progress: Progress = no_progress,
+    machine: Axis | None = None,
 ) -> Measures:
     """Simulate ``task`` under each of ``laws`` on ``axis`` with all its effects; return the measures, a row per law.
 
@@ -207,8 +213,7 @@ def run_many(
     for rows in in_threads(setup.measured, parts, workers):
         raw[done : done + len(rows)] = rows
         done += len(rows)
-        if progress is not None:
-            progress("plants", done / m)
+        progress("plants", done / m)
     return _measures(axis, laws, raw)
 
 

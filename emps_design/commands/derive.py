@@ -27,7 +27,7 @@ def answer(request: DeriveRequest) -> Reply:
 
     if request.latex:
         return Reply({}, (Line(errata.document(), "code"),), LINEAR)
-    from emps_design.laws.friction_model import FrictionModel
+    from emps_design.laws.law import FrictionModel
     from emps_design.machines import machine
     from emps_design.paper.loops import cost_of_printed
 

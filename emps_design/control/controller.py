@@ -57,7 +57,7 @@ from emps_design.control.velocity.gains import MINUS_3_DB
 from emps_design.control.velocity.load_range import LoadRange, relative_mismatch
 from emps_design.control.verdict import cases_of
 from emps_design.control.view import number, worst_in_words
-from emps_design.laws import get_law, law_of, table_of
+from emps_design.laws import LawTable, get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
 from emps_design.messages import Message
 from emps_design.view import Line, Table, View, Viewed
@@ -292,7 +292,7 @@ def _laws(axis: Axis, direction: float) -> dict[str, tuple[str, LawAt]]:
     if kind.loops is not None:
         for _, table in kind.loops(table_of(axis)):
 
-            def inner(h: float, table: Any = table) -> LinearLaw:
+            def inner(h: float, table: LawTable = table) -> LinearLaw:
                 return linear_law(kind.law(table, axis, h), h, direction)
 
             follows = kind.law(table, axis, period).follows

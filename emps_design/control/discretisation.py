@@ -22,7 +22,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.linear_plant import POSITION, VELOCITY, LinearPlant, linear_plant
 from emps_design.errors import InputError
-from emps_design.laws.estimators import TWO_TAP, estimator_of, estimator_response, polynomials
+from emps_design.laws.estimators import TWO_TAP, AnyEstimator, estimator_of, estimator_response, polynomials
 from emps_design.laws.library.cascade import Filter, filter_polynomials
 from emps_design.laws.linear import LinearLaw
 
@@ -117,7 +117,7 @@ class SampledPlant:
     C: np.ndarray
     delay: int
     period: float
-    estimator: Any
+    estimator: AnyEstimator
     linear: LinearPlant
     filters: tuple[Filter, ...] = ()
 
@@ -280,7 +280,7 @@ class SampledPlant:
 
 
 def sample_plant(
-    linear: LinearPlant, period: float, delay_samples: int = 0, velocity_estimator: Any = TWO_TAP
+    linear: LinearPlant, period: float, delay_samples: int = 0, velocity_estimator: AnyEstimator = TWO_TAP
 ) -> SampledPlant:
     """Return the exact discretisation of ``linear`` under a held voltage, with ``period`` [s] and ``delay_samples``.
 

@@ -51,7 +51,7 @@ from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.frequency_response.measured_plant import MeasuredPlant, law_response, stable_loops
 from emps_design.frequency_response.response import FrequencyResponse, resonances
 from emps_design.laws import law_of
-from emps_design.laws.estimators import estimator_response
+from emps_design.laws.estimators import AnyEstimator, estimator_response
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import LinearLaw, linear_law
 from emps_design.messages import Message, grave, warning
@@ -460,7 +460,7 @@ class _Estimated:
     """A measured plant up to the velocity that a law estimates, for :func:`retuned_gains`."""
 
     plant: MeasuredPlant
-    estimator: Any
+    estimator: AnyEstimator
     filters: tuple[Filter, ...]
 
     @property
@@ -518,7 +518,7 @@ def retune_on_response(response: FrequencyResponse, axis: Axis, request: RetuneR
             f"{high:.4g} rad/s"
         )
     structure, filters = own_structure(axis, request.structure), own_filters(axis, request.filters)
-    plant: Any = _Estimated(MeasuredPlant.of(response, axis), axis.controller.velocity_estimator, filters)
+    plant = _Estimated(MeasuredPlant.of(response, axis), axis.controller.velocity_estimator, filters)
     place = structure.place(at)
 
     def design_of(w: float) -> tuple[VelocityLoopDesign | None, str]:

@@ -11,42 +11,85 @@ from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import lru_cache
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Protocol, cast, get_args
 
 import numpy as np
-from pydantic import ValidationError, create_model
+from pydantic import Field, ValidationError, create_model, model_serializer, model_validator
 from pydantic.fields import FieldInfo
 
 from emps_design.errors import AxisError
+from emps_design.laws.estimators import BACKWARD as BACKWARD, TWO_TAP as TWO_TAP
 from emps_design.laws.law import (
-    BACKWARD as BACKWARD,
-    TWO_TAP as TWO_TAP,
-    Finite as Finite,
     FromRecord as FromRecord,
     Gain as Gain,
-    Group as Group,
     Law as Law,
     LawKind as LawKind,
     LawTable as LawTable,
-    NonNegative as NonNegative,
-    Positive as Positive,
-    parameter as parameter,
-    unit_of as unit_of,
+    PlantTables,
     velocity_in_words as velocity_in_words,
 )
 from emps_design.laws.library import LAWS as LAWS
 from emps_design.registry import Registry
+from emps_design.tables import (
+    AxisTable as AxisTable,
+    Finite as Finite,
+    NonNegative as NonNegative,
+    Positive as Positive,
+    parameter as parameter,
+    unit_of as unit_of,
+)
 
 VARIABLE = "EMPS_DESIGN_LAWS"  # environment variable with the files of a user's own laws
 NONE = "none"  # the kind of a controller that is not known
-REGISTRY: Registry[LawKind] = Registry("law", LawKind, LAWS, VARIABLE, "controller")
+REGISTRY: Registry[LawKind[PlantTables]] = Registry("law", LawKind, LAWS, VARIABLE, "controller")
 
 known_laws, get_law = REGISTRY.known, REGISTRY.get
 register, load_file = REGISTRY.register, REGISTRY.load_file
 
 
-def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -> Law:
-    """The law an :class:`~emps_design.axis.Axis` asks for, at a sampling ``period`` [s].
+class Controller(AxisTable):
+    """The control law: its ``kind`` and the ``parameters`` of its table.
+
+    A parameter reads as an attribute, None if absent: ``axis.controller.kp``; an inner table is a dict.
+    """
+
+    kind: str = Field(NONE, description="the law: position_pd, ip_velocity, impedance, cascade, p or none")
+    parameters: dict[str, Any]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_flat_table(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        kind = table.get("kind", NONE)
+        kinds = [*known_laws(), NONE]
+        if kind not in kinds:
+            expected = f"{', '.join(map(repr, kinds[:-1]))} or {NONE!r}"
+            problem = {"type": "literal_error", "loc": ("kind",), "input": kind, "ctx": {"expected": expected}}
+            raise ValidationError.from_exception_data("Controller", [cast(Any, problem)])
+        parameters = checked_parameters(kind, {k: v for k, v in table.items() if k != "kind"})
+        return {"kind": kind, "parameters": parameters}
+
+    @model_serializer
+    def _flat_table(self) -> dict[str, Any]:
+        return {"kind": self.kind, **self.parameters}
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and name in fields_of():
+            return self.parameters.get(name)
+        raise AttributeError(f"controller: found {name!r}, expected one of kind, {', '.join(fields_of())}")
+
+
+class ControlledAxis(PlantTables, Protocol):
+    """The tables of the plant, and the controller that closes the loop around it."""
+
+    @property
+    def controller(self) -> Controller:
+        """The law and its parameters."""
+
+
+def law_of(axis: ControlledAxis, period: float, columns: Mapping[str, Any] | None = None) -> Law:
+    """The law that ``axis`` asks for, at a sampling ``period`` [s].
 
     ``columns`` of a record give the gains that come from one, a number or an array (n,) each.
     Raises :class:`AxisError` where the controller is ``none``, which has no law to close a loop with, and where a
@@ -82,7 +125,7 @@ def law_of(axis: Any, period: float, columns: Mapping[str, Any] | None = None) -
     )
 
 
-def recorded_gains(axis: Any) -> dict[str, dict[str, Any]]:
+def recorded_gains(axis: ControlledAxis) -> dict[str, dict[str, Any]]:
     """The gains of the law of ``axis`` that come from a record, each with its ``record`` (a column) and ``scale``.
 
     >>> from emps_design.machines import machine
@@ -94,12 +137,12 @@ def recorded_gains(axis: Any) -> dict[str, dict[str, Any]]:
     return {name: source for name, source in own.items() if isinstance(source, dict) and "record" in source}
 
 
-def table_of(axis: Any) -> LawTable:
+def table_of(axis: ControlledAxis) -> LawTable:
     """The parameters of the law that ``axis`` asks for, without those kept there for other kinds."""
     return get_law(axis.controller.kind).table(**_own_parameters(axis))
 
 
-def _own_parameters(axis: Any) -> dict[str, Any]:
+def _own_parameters(axis: ControlledAxis) -> dict[str, Any]:
     parameters = axis.controller.parameters
     return {name: parameters[name] for name in get_law(axis.controller.kind).table.model_fields if name in parameters}
 
@@ -186,15 +229,15 @@ def leaves(parameters: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
         yield from leaves(value, (*path, str(key)))
 
 
-def _group(annotation: Any) -> type[Group] | None:
+def _group(annotation: Any) -> type[AxisTable] | None:
     """The table that a field holds, or a list of, by its ``annotation``; None where it holds none."""
-    if isinstance(annotation, type) and issubclass(annotation, Group):
+    if isinstance(annotation, type) and issubclass(annotation, AxisTable):
         return annotation
     return next(filter(None, map(_group, get_args(annotation))), None)
 
 
 @lru_cache(maxsize=64)
-def _table(kind: str, laws: tuple[LawKind, ...]) -> type[LawTable]:
+def _table(kind: str, laws: tuple[LawKind[PlantTables], ...]) -> type[LawTable]:
     """The table of ``kind`` with the parameters of the other ``laws`` as optional fields."""
     base = next((law.table for law in laws if law.name == kind), LawTable)
     more: dict[str, Any] = {}

@@ -13,8 +13,6 @@ difference, 3 are two_tap. The tracking loop is a phase-locked loop: it predicts
 it adds ``(1 - p^2) e`` to the position x and ``(1 - p)^2 e / T`` to the velocity v, which puts both of its poles at the
 bandwidth; of so fast a clock that w T is small the gains are 2 w T and w^2 T. A kernel keeps the filter's states behind
 its own memory and runs it in transposed direct form; at rest they are 0.
-
-What the tables of an axis file's controller are made of: numbers with bounds, units and words, tables within.
 """
 
 from __future__ import annotations
@@ -24,14 +22,10 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
-from pydantic.fields import FieldInfo
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
 
 from emps_design.errors import InputError
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+from emps_design.tables import AxisTable, Positive, parameter
 
 TWO_TAP: Final = "two_tap"
 BACKWARD: Final = "backward"
@@ -45,24 +39,7 @@ EXPECTED = (
 NAME, TABLE = "a name", "a table of its own"  # tags of the union; with blanks, as no key of a table has
 
 
-def parameter(description: str, unit: str, default: Any = ...) -> Any:
-    """A field of a law's table: what it is, its unit, and its default (none: it has to be given)."""
-    return Field(default, description=description, json_schema_extra={"unit": unit})
-
-
-def unit_of(field: FieldInfo | None) -> str:
-    """The unit of a field of a table, "" where it has none."""
-    extra = field.json_schema_extra if field else None
-    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-
-
-class Group(BaseModel):
-    """A table inside the ``[controller]`` table: parameters that belong together, as those of one loop."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Estimator(Group):
+class Estimator(AxisTable):
     """An estimator with a number: the slope of some points, a filtered difference, or a tracking loop."""
 
     kind: Literal["slope", "filtered", "tracking"] = parameter(
@@ -103,8 +80,11 @@ VelocityEstimator = Annotated[
 ]
 WORDS = "velocity from the position: two-tap average and backward difference, backward difference alone, or a table"
 
+KnownEstimator = str | Estimator
+AnyEstimator = KnownEstimator | Mapping[str, Any]  # or as plain data
 
-def estimator_of(estimator: Any) -> str | Estimator:
+
+def estimator_of(estimator: AnyEstimator) -> KnownEstimator:
     """The estimator with this name or table (plain data); an :class:`Estimator` is returned as it is.
 
     Raises :class:`InputError` for any other.
@@ -127,7 +107,7 @@ def estimator_of(estimator: Any) -> str | Estimator:
     raise AssertionError(estimator)
 
 
-def polynomials(estimator: Any, period: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def polynomials(estimator: AnyEstimator, period: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """``b`` and ``a`` of E(z) in powers of 1/z, equally many, at a sampling ``period`` [s].
 
     >>> polynomials({"kind": "slope", "points": 4}, 1e-3)
@@ -147,7 +127,7 @@ def polynomials(estimator: Any, period: float) -> tuple[tuple[float, ...], tuple
     return (math.expm1(-estimator.number * period) ** 2, 0.0, 0.0), (1.0, -2.0 * p, p * p)
 
 
-def estimator_response(estimator: Any, w: np.ndarray, period: float) -> np.ndarray:
+def estimator_response(estimator: AnyEstimator, w: np.ndarray, period: float) -> np.ndarray:
     """Frequency response E(z) at ``w`` [rad/s], in the shape of ``w``.
 
     >>> w = np.array([100.0])
@@ -157,7 +137,7 @@ def estimator_response(estimator: Any, w: np.ndarray, period: float) -> np.ndarr
     return estimator_at(estimator, np.exp(-1j * np.asarray(w) * period), period)
 
 
-def estimator_at(estimator: Any, back: np.ndarray, period: float) -> np.ndarray:
+def estimator_at(estimator: AnyEstimator, back: np.ndarray, period: float) -> np.ndarray:
     """E(z) at 1/z = ``back``, in the shape of ``back``.
 
     >>> estimator_at("two_tap", np.array([1.0, -1.0]), 1e-3).tolist()
@@ -167,7 +147,7 @@ def estimator_at(estimator: Any, back: np.ndarray, period: float) -> np.ndarray:
     return np.polyval(b[::-1], back) / np.polyval(a[::-1], back)
 
 
-def continuous(estimator: Any) -> tuple[list[float], list[float]]:
+def continuous(estimator: AnyEstimator) -> tuple[list[float], list[float]]:
     """Numerator and denominator in s [1/s], highest power first, of the limit of E(z) with ever faster sampling.
 
     >>> continuous({"kind": "tracking", "bandwidth": 100.0})
@@ -180,7 +160,7 @@ def continuous(estimator: Any) -> tuple[list[float], list[float]]:
     return ([w], [1.0, w]) if estimator.kind == "filtered" else ([w * w], [1.0, 2.0 * w, w * w])
 
 
-def taps(estimator: Any) -> float:
+def taps(estimator: AnyEstimator) -> float:
     """Code of the estimator in a kernel's gains: 1 two_tap, 0 backward, minus the order of any other."""
     estimator = estimator_of(estimator)
     if isinstance(estimator, str):
@@ -188,7 +168,7 @@ def taps(estimator: Any) -> float:
     return float(1 - len(polynomials(estimator, 1.0)[0]))
 
 
-def coefficients(estimator: Any, period: float) -> tuple[float, ...]:
+def coefficients(estimator: AnyEstimator, period: float) -> tuple[float, ...]:
     """Coefficients in a kernel's gains, b0 to bn, then a1 to an; none where :func:`taps` is not negative."""
     if not taps(estimator) < 0.0:
         return ()
@@ -201,13 +181,13 @@ def states(order: float) -> int:
     return 1 - int(order) if order < 0.0 else 0
 
 
-def forgets(estimator: Any) -> float:
+def forgets(estimator: AnyEstimator) -> float:
     """Periods after which the estimate is 0 once the carriage stands still; inf where it only decays."""
     b, a = polynomials(estimator, 1.0)
     return math.inf if any(a[1:]) else float(len(b))
 
 
-def in_words(estimator: Any, period: float) -> str:
+def in_words(estimator: AnyEstimator, period: float) -> str:
     """The estimate as a line to paste.
 
     >>> in_words({"kind": "slope", "points": 4}, 1e-3)
@@ -226,7 +206,7 @@ def in_words(estimator: Any, period: float) -> str:
     return f"v[k] = ({sum_of_q}) / {period:.10g}" + (f" + {past}" if past else "").replace("+ -", "- ")
 
 
-def estimator_in_words(estimator: Any) -> str:
+def estimator_in_words(estimator: AnyEstimator) -> str:
     """The estimator in a few words.
 
     >>> estimator_in_words({"kind": "filtered", "frequency": 50.0}), estimator_in_words("two_tap")

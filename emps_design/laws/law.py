@@ -1,4 +1,4 @@
-"""What a control law is: a difference equation, its parameters, and what joins them.
+"""What a control law is: a difference equation, its parameters, what it knows of the machine, and what joins them.
 
 The kernel *is* the law, in plain Python of numbers, computed once a sample:
 
@@ -14,30 +14,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
-from emps_design.errors import AxisError
-from emps_design.laws.estimators import (
-    BACKWARD as BACKWARD,
-    TWO_TAP as TWO_TAP,
-    WORDS,
-    Finite as Finite,
-    Group as Group,
-    NonNegative as NonNegative,
-    Positive as Positive,
-    VelocityEstimator,
-    in_words,
-    parameter as parameter,
-    unit_of as unit_of,
-)
+from emps_design.errors import AxisError, InputError
+from emps_design.laws.estimators import TWO_TAP, WORDS, VelocityEstimator, in_words
+from emps_design.records import Record
+from emps_design.tables import AxisEffect, AxisTable, Drive, Finite, Mechanics, Positive, Sampling
 
+PARAMETERS = ("mass", "viscous_positive", "viscous_negative", "coulomb_positive", "coulomb_negative")
 FOLLOWS = ("position", "velocity", "rest position")  # the last is where a spring pulls to, and no more
 
 
-class FromRecord(Group):
+class FromRecord(AxisTable):
     """A gain that the record gives: ``scale`` times its column ``record``, one number or one for each sample."""
 
     record: str = Field(description="name of the column", json_schema_extra={"unit": ""})
@@ -51,10 +42,121 @@ Gain = Annotated[
 ]
 
 
-class LawTable(Group):
+class LawTable(AxisTable):
     """The ``[controller]`` table of one kind of law without its ``kind``; what every law has."""
 
     velocity_estimator: VelocityEstimator = Field(TWO_TAP, description=WORDS)
+
+
+class PlantTables(Protocol):
+    """What a law may read of the axis it runs on; every :class:`~emps_design.axis.Axis` has it."""
+
+    @property
+    def mechanics(self) -> Mechanics:
+        """Mass, viscous and Coulomb friction, constant force."""
+
+    @property
+    def drive(self) -> Drive:
+        """From command to force."""
+
+    @property
+    def sampling(self) -> Sampling:
+        """Clock and encoder."""
+
+    @property
+    def effects(self) -> Sequence[AxisEffect]:
+        """The physics that the mechanics lack."""
+
+    @property
+    def damping(self) -> float:
+        """Viscous friction plus braking by the back-EMF [N/(m/s)]."""
+
+
+Reads = TypeVar("Reads", contravariant=True)  # what a kind of law reads of the axis
+
+
+@dataclass(frozen=True)
+class FrictionModel:
+    """The vector X of equation (5): mass [kg], viscous [N/(m/s)] and Coulomb friction [N] for either direction."""
+
+    mass: float
+    viscous_positive: float
+    viscous_negative: float
+    coulomb_positive: float
+    coulomb_negative: float
+
+    @classmethod
+    def of(cls, axis: PlantTables) -> FrictionModel:
+        """Read X from an axis; back-EMF and effects proportional to speed add to the viscous friction.
+
+        Other effects are left out, see :func:`left_out`.
+
+        >>> from emps_design.machines import machine
+        >>> FrictionModel.of(machine("emps2018-two-quadrant")).viscous_negative
+        563.8568
+        """
+        m = axis.mechanics
+        positive, negative = axis.damping, axis.damping
+        for entry in axis.effects:
+            if entry.effect.solver.slopes is not None:
+                slopes = entry.effect.solver.slopes(entry.effect.values(entry.parameters))
+                positive, negative = positive + float(slopes[0]), negative + float(slopes[1])
+        return cls(m.mass, round(positive, 12), round(negative, 12), m.coulomb + m.offset, m.coulomb - m.offset)
+
+    @property
+    def two_quadrant(self) -> bool:
+        """Whether friction differs with the direction."""
+        return self.viscous_positive != self.viscous_negative or self.coulomb_positive != self.coulomb_negative
+
+    @property
+    def directions(self) -> tuple[int, ...]:
+        """The directions of motion that differ: 1 and -1, or 1 alone where friction is alike in both."""
+        return (1, -1) if self.two_quadrant else (1,)
+
+    @property
+    def coulomb(self) -> tuple[float, float]:
+        """Coulomb friction for motion to + and to - [N]."""
+        return self.coulomb_positive, self.coulomb_negative
+
+    @property
+    def viscous(self) -> tuple[float, float]:
+        """Viscous friction for motion to + and to - [N/(m/s)]."""
+        return self.viscous_positive, self.viscous_negative
+
+    def with_errors(self, errors: dict[str, Any]) -> FrictionModel:
+        """Return estimates ``(1 + error)`` times these numbers; raises :class:`InputError` if one turns negative.
+
+        ``errors`` has keys of ``PARAMETERS``, or ``viscous`` and ``coulomb`` for both directions alike; arrays (m,)
+        make m models of one.
+
+        >>> FrictionModel(100.0, 400.0, 400.0, 20.0, 20.0).with_errors({"coulomb": 0.05}).coulomb
+        (21.0, 21.0)
+        """
+        both = {name: error for name, error in errors.items() if name in PARAMETERS}
+        for name in ("viscous", "coulomb"):
+            if name in errors:
+                both |= {f"{name}_positive": errors[name], f"{name}_negative": errors[name]}
+        for name, error in both.items():
+            bad = np.extract(~(np.isfinite(error) & np.greater(error, -1.0)), error)
+            if bad.size:
+                raise InputError(
+                    f"mismatch: found {bad[0]:g} on {name.replace('_', ' ')}, so the estimate is not positive; "
+                    "expected more than -1"
+                )
+        return replace(self, **{name: getattr(self, name) * (1.0 + error) for name, error in both.items()})
+
+    def array(self) -> np.ndarray:
+        """The five numbers in the order of ``PARAMETERS``."""
+        return np.array([getattr(self, name) for name in PARAMETERS])
+
+    def to_dict(self) -> dict[str, float]:
+        """The five numbers by name, SI."""
+        return {name: getattr(self, name) for name in PARAMETERS}
+
+
+def left_out(axis: PlantTables) -> tuple[str, ...]:
+    """Kinds of the effects of ``axis`` that X of (5) leaves out; name them wherever the model is used."""
+    return tuple(entry.kind for entry in axis.effects if entry.effect.solver.slopes is None)
 
 
 @dataclass(frozen=True)
@@ -108,20 +210,21 @@ class Law:
         """Reference of the law (n,) [m or m/s] for the positions ``q_ref`` (n,) [m]: those, or their rate."""
         return np.diff(q_ref, prepend=q_ref[:1]) / period if self.follows == "velocity" else q_ref
 
-    def followed(self, record: Any) -> np.ndarray:
-        """Reference of the law (n,) [m or m/s] in a :class:`~emps_design.records.Record`."""
+    def followed(self, record: Record) -> np.ndarray:
+        """Reference of the law (n,) [m or m/s] in a ``record``."""
         if self.follows == "velocity" and record.velocity_reference is not None:
             return record.velocity_reference
         return self.reference(record.q_ref, record.period)
 
 
 @dataclass(frozen=True)
-class LawKind:
+class LawKind(Generic[Reads]):
     """One kind of control law: its words, its table in the axis file, its kernel, and the numbers the kernel gets.
 
     ``table`` is the pydantic model of its parameters, with units, bounds and descriptions. ``gains(p, axis, period)``
-    gives the kernel's numbers from a table ``p``, the :class:`~emps_design.axis.Axis` it runs on and the sampling
-    ``period`` [s]; ``memory`` is the length of the kernel's memory, or a function of table and axis.
+    gives the kernel's numbers from a table ``p``, the axis it runs on and the sampling ``period`` [s]; ``memory`` is
+    the length of the kernel's memory, or a function of table and axis. Of the axis they read :class:`PlantTables`, or
+    nothing: the kinds of ``LawKind[object]``, those of a velocity loop, are determined by their table alone.
     ``equations(p, axis, period)`` are the lines to paste into a drive. ``follows`` is one of ``FOLLOWS``, or a function
     of the table, and so is ``cycle``, after how many samples the law does the same again.
 
@@ -145,9 +248,9 @@ class LawKind:
     source: str
     table: type[LawTable]
     kernel: Callable[..., float]
-    gains: Callable[[Any, Any, float], Sequence[float]]
-    memory: int | Callable[[Any, Any], int]
-    equations: Callable[[Any, Any, float], tuple[str, ...]]
+    gains: Callable[[Any, Reads, float], Sequence[float]]
+    memory: int | Callable[[Any, Reads], int]
+    equations: Callable[[Any, Reads, float], tuple[str, ...]]
     follows: str | Callable[[Any], str] = "position"
     cycle: int | Callable[[Any], int] = 1
     loops: Callable[[Any], tuple[tuple[str, LawTable], ...]] | None = None
@@ -168,7 +271,7 @@ class LawKind:
         """Names of the parameters that have to be given."""
         return tuple(name for name, field in self.table.model_fields.items() if field.is_required())
 
-    def law(self, p: Any, axis: Any, period: float) -> Law:
+    def law(self, p: LawTable, axis: Reads, period: float) -> Law:
         """The law with the numbers of the table ``p``, on ``axis``, at a sampling ``period`` [s]."""
         gains = np.array(self.gains(p, axis, period), dtype=float)
         return Law(
@@ -182,7 +285,7 @@ class LawKind:
         )
 
 
-def velocity_in_words(p: Any, period: float) -> str:
+def velocity_in_words(p: LawTable, period: float) -> str:
     """The velocity estimate of a law as a line to paste.
 
     >>> velocity_in_words(LawTable(velocity_estimator="backward"), 1e-3)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sympy as sp
 
-from emps_design.laws.friction_model import FrictionModel
+from emps_design.laws.law import FrictionModel
 from emps_design.paper import written as y
 from emps_design.paper.model import DerivationStep, compared
 from emps_design.paper.written import EQUATIONS, READ_AS, Equation, Sum, in_order

@@ -137,7 +137,7 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
     from emps_design.control.impedance.law import FrictionModel, impedance_law
     from emps_design.control.impedance.passivity import Clock, extended_loop
     from emps_design.control.impedance.robustness import verdict
-    from emps_design.laws.friction_model import left_out
+    from emps_design.laws.law import left_out
 
     units = state.axis.units
     try:

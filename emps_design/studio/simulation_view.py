@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import panel as pn
 
-from emps_design.laws.friction_model import left_out
+from emps_design.laws.law import left_out
 from emps_design.progress import Progress, no_progress, of_part
 from emps_design.report.page import inline, quantity
 from emps_design.report.style import labelled, svg

@@ -15,7 +15,7 @@ from emps_design.control.sampled import axis_loop, close
 from emps_design.control.velocity.sampled import velocity_law
 from emps_design.errors import AxisError
 from emps_design.laws import LAWS, Law, law_of
-from emps_design.laws.friction_model import FrictionModel
+from emps_design.laws.law import FrictionModel
 from emps_design.laws.library import impedance as impedance_file
 from emps_design.laws.linear import Linear, LinearLaw, linear_law, own_poles, run_linear
 from emps_design.machines import machine

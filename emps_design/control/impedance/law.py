@@ -32,8 +32,8 @@ from emps_design.control.velocity.gains import canonical_form, velocity_gains
 from emps_design.control.velocity.sampled import velocity_law
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws import TWO_TAP, Law
-from emps_design.laws.estimators import estimator_of
-from emps_design.laws.friction_model import FrictionModel
+from emps_design.laws.estimators import AnyEstimator, estimator_of
+from emps_design.laws.law import FrictionModel
 from emps_design.laws.library.impedance import (
     check_filters,
     default_filter,
@@ -95,7 +95,7 @@ class ImpedanceLaw:
     coulomb_factor: float = 1.0
     current_factor: float = DERIVED
     force_sensor: bool = False
-    velocity_estimator: Any = TWO_TAP
+    velocity_estimator: AnyEstimator = TWO_TAP
     reference_velocity: float = 0.0
 
     def __post_init__(self) -> None:

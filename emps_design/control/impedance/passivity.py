@@ -216,15 +216,10 @@ class Passivity:
 def admittance_polynomials(
     law: ImpedanceLaw, plant: FrictionModel, current_time_constant: float, direction: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Numerator and denominator of velocity over external force, continuous law, ascending powers of s."""
-    numerator, denominator = _exact_polynomials(law, plant, current_time_constant, direction)
-    return numerator.astype(float), denominator.astype(float)
+    """Numerator and denominator of velocity over external force, continuous law, ascending powers of s.
 
-
-def _exact_polynomials(
-    law: ImpedanceLaw, plant: FrictionModel, current_time_constant: float, direction: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`admittance_polynomials` as rational numbers, so that terms which cancel by algebra are exactly zero."""
+    They are rational numbers, so that terms which cancel by algebra are exactly zero.
+    """
     i = 0 if direction > 0 else 1
     mass_hat, damping, unity = Fraction(law.estimate.mass), Fraction(law.damping), Fraction(1)
     r, f_hat = mass_hat / Fraction(law.mass), Fraction(law.estimate.viscous[i])
@@ -269,7 +264,7 @@ def passivity(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, points: int
 
 
 def _one_way(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, direction: int, points: int) -> Passivity:
-    numerator, denominator = _exact_polynomials(law, plant, clock.current_time_constant, direction)
+    numerator, denominator = admittance_polynomials(law, plant, clock.current_time_constant, direction)
     roots, _ = _scaled_roots(denominator)
     stable = bool(np.all(roots.real <= MARGINAL))
     loop = sampled_loop(law, plant, clock, direction)

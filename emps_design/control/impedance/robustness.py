@@ -32,8 +32,8 @@ from emps_design.control.margins import bisect
 from emps_design.control.sampled import MARGINAL, PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
 from emps_design.control.velocity.load_range import corners as corners_of
 from emps_design.errors import InputError
-from emps_design.laws.estimators import TWO_TAP, forgets
-from emps_design.laws.friction_model import PARAMETERS
+from emps_design.laws.estimators import TWO_TAP, AnyEstimator, forgets
+from emps_design.laws.law import PARAMETERS
 from emps_design.laws.linear import linear_law
 
 STEP = 1.05  # ratio of two apparent masses in a search
@@ -167,7 +167,7 @@ def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: f
     return "dead_band" if min(drifts) < -threshold else "stable"
 
 
-def drift_threshold(period: float, resolution: float, velocity_estimator: Any = TWO_TAP) -> float:
+def drift_threshold(period: float, resolution: float, velocity_estimator: AnyEstimator = TWO_TAP) -> float:
     """Speed [m/s] below which friction cannot sustain a creep: one encoder step within the span of a velocity estimate.
 
     An estimate over one period (backward) or several (two_tap, a slope) without a step is 0 and compensates no

@@ -49,7 +49,7 @@ from emps_design.control.velocity.specification import (
     room_in_words,
 )
 from emps_design.control.view import velocity_loop_view
-from emps_design.laws import LawKind
+from emps_design.laws import LawKind, LawTable
 from emps_design.laws.estimators import estimator_response, polynomials
 from emps_design.laws.library import cascade
 from emps_design.laws.library.cascade import Filter, filter_polynomials
@@ -69,8 +69,8 @@ class DifferenceEquation:
     """The velocity law as computed at each sample: its ``kind`` and ``table`` on ``axis``, as text to paste."""
 
     axis: Axis
-    kind: LawKind
-    table: Any
+    kind: LawKind[Axis]
+    table: LawTable
     k_v1: float
     t_v: float
 

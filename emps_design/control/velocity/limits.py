@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -51,13 +51,27 @@ NOTCHES = ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3))  # damping and depth
 LOWPASSES = (2.0, 4.0, 8.0)  # corners, in crossovers
 
 
+class PlantResponse(Protocol):
+    """A plant at the samples, computed or measured, up to the velocity that its law estimates."""
+
+    @property
+    def period(self) -> float:
+        """Sampling period [s]."""
+
+    def response(self, w: np.ndarray) -> np.ndarray:
+        """Estimated velocity over command at ``w`` [rad/s], in the shape of ``w``."""
+
+    def integrator(self, w: np.ndarray) -> np.ndarray:
+        """T z / (z - 1) at ``w`` [rad/s], the sampled 1/s of a law [s], in the shape of ``w``."""
+
+
 def retuned_gains(
-    plant: SampledPlant,
+    plant: PlantResponse,
     crossover: np.ndarray | float,
     phase_margin_deg: np.ndarray | float,
     at: str = "plant-input",
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return k_v1 [V/(m/s)] and t_v [s] for the sampled ``plant``, NaN where they would not be positive.
+    """Return k_v1 [V/(m/s)] and t_v [s] for the ``plant``, NaN where they would not be positive.
 
     ``crossover`` [rad/s] and ``phase_margin_deg`` [deg] are those of the sampled loop broken ``at`` "plant-input" or
     "velocity-error"; they broadcast. The gains do not ensure stability: check the poles.

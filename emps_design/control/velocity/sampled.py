@@ -37,9 +37,8 @@ from emps_design.control.margins import (
 )
 from emps_design.control.sampled import MARGINAL, OUTPUTS, SampledLoop, close
 from emps_design.control.velocity.gains import IP, MINUS_3_DB, PLACES, Structure
-from emps_design.laws import LawKind
-from emps_design.laws.estimators import BACKWARD, continuous, estimator_in_words
-from emps_design.laws.law import TWO_TAP, LawTable
+from emps_design.laws import TWO_TAP, LawKind, LawTable
+from emps_design.laws.estimators import BACKWARD, AnyEstimator, continuous, estimator_in_words
 from emps_design.laws.library import cascade, ip_velocity
 from emps_design.laws.library.cascade import Filter
 from emps_design.laws.linear import LinearLaw, linear_law
@@ -296,9 +295,9 @@ def velocity_table(
     t_v: float,
     structure: Structure = IP,
     filters: tuple[cascade.Filter, ...] = (),
-    estimator: Any = TWO_TAP,
+    estimator: AnyEstimator = TWO_TAP,
     in_a_cascade: bool = False,
-) -> tuple[LawKind, LawTable]:
+) -> tuple[LawKind[object], LawTable]:
     """Return the kind of a velocity law and its table: the paper's law if it can hold it, otherwise a cascade.
 
     ``in_a_cascade`` forces the latter.
@@ -443,7 +442,7 @@ class LaggedVelocityLoop:
     structure: Structure
     filters: tuple[Filter, ...] = ()
     delay: float = 0.0
-    estimator: Any = BACKWARD
+    estimator: AnyEstimator = BACKWARD
 
     @classmethod
     def of(

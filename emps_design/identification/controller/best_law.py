@@ -36,7 +36,6 @@ from emps_design.identification.controller.regressors import (
     EVERY,
     PLACE,
     PROPORTIONAL,
-    AnyEstimator,
     ControllerSignals,
     LawStructure,
     Timing,
@@ -46,7 +45,7 @@ from emps_design.identification.controller.regressors import (
     sought,
 )
 from emps_design.identification.controller.search import search
-from emps_design.laws.estimators import estimator_in_words
+from emps_design.laws.estimators import KnownEstimator, estimator_in_words
 
 PLATEAU = 3  # successive samples at the largest command that may be the limit
 NOISE = 6.0  # deviations of the noise below the largest command that still count as it
@@ -257,7 +256,7 @@ def _other_loops(law: LawFit) -> list[Timing]:
     return [timing for timing in timings if timing != law.timing]
 
 
-def _sources(timing: Timing, estimators: Sequence[AnyEstimator]) -> list[Timing]:
+def _sources(timing: Timing, estimators: Sequence[KnownEstimator]) -> list[Timing]:
     """``timing`` with each source of the feed-forward, and each of the ``estimators`` of the velocity."""
     return [replace(timing, profile=profile, velocity_estimator=e) for profile in (False, True) for e in estimators]
 

@@ -31,9 +31,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter, savgol_filter
+import scipy
 
-from emps_design.laws.estimators import MOST_POINTS, NUMBERS, Estimator, polynomials
+from emps_design.laws.estimators import MOST_POINTS, NUMBERS, Estimator, KnownEstimator, polynomials
 
 ESTIMATORS = ("backward", "two_tap")
 POINTS = (4, 5, 6, 8, 11, 16)  # of slopes that are tried first; 2 and 3 are the named ones
@@ -44,7 +44,6 @@ WITHIN = {"filtered": (1e-4, 0.45), "tracking": (6e-4, 3.0)}  # number times the
 STEP = 1e-4  # of a fitted number, for its derivative
 UNUSUAL = 2.0 * float(np.log(len(POINTS) + 2 * len(SHARES)))  # of the criterion: half of all drives have a named one
 
-AnyEstimator = str | Estimator
 
 EVERY = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # samples of a position loop that are tried
 DELAYS = (0, 1, 2)  # samples
@@ -86,7 +85,7 @@ def with_numbers(period: float) -> tuple[Estimator, ...]:
     return tuple(estimators)
 
 
-def lag(estimator: AnyEstimator, period: float) -> float:
+def lag(estimator: KnownEstimator, period: float) -> float:
     """Delay in samples of a constant velocity change, beyond that of the backward difference.
 
     >>> lag("two_tap", 1e-3), round(lag(Estimator(kind="slope", points=4), 1e-3), 9)
@@ -96,11 +95,11 @@ def lag(estimator: AnyEstimator, period: float) -> float:
     return late[0] - late[1]
 
 
-def rivals_of(own: AnyEstimator, period: float) -> list[AnyEstimator]:
+def rivals_of(own: KnownEstimator, period: float) -> list[KnownEstimator]:
     """Estimators that may be mistaken for ``own``: the named ones, and of each other kind those with the same lag."""
     late = max(lag(own, period), LEAST_LAG)
     points = round(2.0 * late) + 2
-    candidates: list[AnyEstimator] = [*ESTIMATORS]
+    candidates: list[KnownEstimator] = [*ESTIMATORS]
     candidates += [Estimator(kind="slope", points=n) for n in range(points - 1, points + 2) if 4 <= n <= MOST_POINTS]
     candidates.append(Estimator(kind="filtered", frequency=1.0 / (2.0 * float(np.pi) * late * period)))
     candidates.append(Estimator(kind="tracking", bandwidth=LOOP / (late * period)))
@@ -108,12 +107,12 @@ def rivals_of(own: AnyEstimator, period: float) -> list[AnyEstimator]:
     return [rival for rival in candidates if rival != own and not (isinstance(rival, Estimator) and rival.kind == kind)]
 
 
-def sought(estimator: AnyEstimator) -> bool:
+def sought(estimator: KnownEstimator) -> bool:
     """Whether an estimator has a number to be fitted: a corner or a bandwidth, not a count of points."""
     return isinstance(estimator, Estimator) and estimator.kind in WITHIN
 
 
-def at_step(estimator: AnyEstimator, step: float, period: float) -> AnyEstimator:
+def at_step(estimator: KnownEstimator, step: float, period: float) -> KnownEstimator:
     """``estimator`` with the logarithm of its number changed by ``step``, kept within its bounds."""
     assert isinstance(estimator, Estimator)
     low, high = (bound / period for bound in WITHIN[estimator.kind])
@@ -121,7 +120,7 @@ def at_step(estimator: AnyEstimator, step: float, period: float) -> AnyEstimator
     return Estimator.model_validate({"kind": estimator.kind, NUMBERS[estimator.kind]: number})
 
 
-def beside(estimator: AnyEstimator, period: float, ratio: float) -> tuple[AnyEstimator, ...]:
+def beside(estimator: KnownEstimator, period: float, ratio: float) -> tuple[KnownEstimator, ...]:
     """The neighbours of an estimator with a number: a point more or less, or the number times and over ``ratio``."""
     if not isinstance(estimator, Estimator):
         return ()
@@ -132,13 +131,13 @@ def beside(estimator: AnyEstimator, period: float, ratio: float) -> tuple[AnyEst
     return tuple(at_step(estimator, sign * step, period) for sign in (-1.0, 1.0))
 
 
-def could_pass_for(own: AnyEstimator) -> list[AnyEstimator]:
+def could_pass_for(own: KnownEstimator) -> list[KnownEstimator]:
     """The named estimators, ``own``, and slopes of a point more or less, for a reference half a sample late."""
     more = beside(own, 1.0, 1.0) if not sought(own) else ()
     return list(dict.fromkeys((*ESTIMATORS, own, *more)))
 
 
-def estimator_table(estimator: AnyEstimator, number: float | None = None) -> str | dict[str, object]:
+def estimator_table(estimator: KnownEstimator, number: float | None = None) -> str | dict[str, object]:
     """The estimator as in an axis file, with another ``number`` where one is given."""
     if isinstance(estimator, str):
         return estimator
@@ -188,7 +187,7 @@ class ControllerSignals:
 
     def counted(self, columns: np.ndarray) -> np.ndarray:
         """The used rows of ``columns`` (n, ...), whitened, less the mean of each stretch."""
-        rows = lfilter(self.whitening, [1.0], columns, axis=0)[self.used]
+        rows = scipy.signal.lfilter(self.whitening, [1.0], columns, axis=0)[self.used]
         if self.levels is None:
             return rows
         starts = np.flatnonzero(np.diff(self.levels[self.used], prepend=-1))
@@ -206,7 +205,7 @@ class Timing:
     every: int = 1
     phase: int = 0
     delay: int = 0
-    velocity_estimator: AnyEstimator = "backward"
+    velocity_estimator: KnownEstimator = "backward"
     profile: bool = False
 
     @property
@@ -298,10 +297,10 @@ def joined_signals(several: Sequence[ControllerSignals]) -> ControllerSignals:
     return replace(several[0], **columns, levels=np.concatenate(levels), records=True)
 
 
-def estimated_velocity(q: np.ndarray, period: float, estimator: AnyEstimator) -> np.ndarray:
+def estimated_velocity(q: np.ndarray, period: float, estimator: KnownEstimator) -> np.ndarray:
     """Velocity (n,) from the position (n,) by an estimator; at rest before the first sample."""
     if not isinstance(estimator, str):
-        return lfilter(*polynomials(estimator, period), np.diff(q, prepend=q[:1]) / period)
+        return scipy.signal.lfilter(*polynomials(estimator, period), np.diff(q, prepend=q[:1]) / period)
     taps = 2 if estimator == "two_tap" else 1
     before = np.concatenate([np.full(taps, q[0]), q[:-taps]])
     return (q - before) / (taps * period)
@@ -314,7 +313,8 @@ def _profile_derivatives(signals: ControllerSignals) -> tuple[np.ndarray, np.nda
     """
     r = np.pad(signals.reference, AHEAD, mode="edge")
     first, second = (
-        savgol_filter(r, 2 * AHEAD + 1, 4, deriv=order, delta=signals.period)[AHEAD:-AHEAD] for order in (1, 2)
+        scipy.signal.savgol_filter(r, 2 * AHEAD + 1, 4, deriv=order, delta=signals.period)[AHEAD:-AHEAD]
+        for order in (1, 2)
     )
     return first, second
 

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
+import scipy
 
 from emps_design.identification.controller.fit import CommandFilter, moved_filters
 from emps_design.identification.controller.regressors import (
@@ -24,7 +24,6 @@ from emps_design.identification.controller.regressors import (
     EVERY,
     PROPORTIONAL,
     SAMPLED,
-    AnyEstimator,
     ControllerSignals,
     LawStructure,
     Timing,
@@ -36,7 +35,7 @@ from emps_design.identification.controller.regressors import (
     sought,
     with_numbers,
 )
-from emps_design.laws.estimators import estimator_at
+from emps_design.laws.estimators import KnownEstimator, estimator_at
 
 BANDS = 200
 RIDGE = 1e-11  # of the scaled normal equations, where gains cannot be told apart
@@ -86,10 +85,10 @@ class BandSpectra:
 def transform(signals: ControllerSignals, columns: np.ndarray) -> np.ndarray:
     """Spectra (n_frequencies, n_columns) of ``columns`` (n, n_columns), without frequency 0, whitened."""
     columns = columns[int(np.argmax(signals.used)) :]
-    n = next_fast_len(len(columns), real=True)
+    n = scipy.fft.next_fast_len(len(columns), real=True)
     steps = np.diff(columns, axis=0, prepend=columns[:1])
     steps[0] += columns[0] * np.all(columns == columns[0], axis=0)
-    values = rfft(steps, n, axis=0)[1:]
+    values = scipy.fft.rfft(steps, n, axis=0)[1:]
     z = np.exp(2j * np.pi * np.arange(1, len(values) + 1) / n)
     weight = np.polyval(signals.whitening[::-1], 1.0 / z) / (1.0 - 1.0 / z) * np.sqrt(2.0 / n)
     return values * weight[:, None]
@@ -118,7 +117,7 @@ def cross(
         both, answer = whole, np.column_stack([answer, like.answer[:, new:]])
     middle = 0.5 * (edges + np.append(edges[1:], len(values)) + 1)
     samples = len(signals) - int(np.argmax(signals.used))
-    z = np.exp(2j * np.pi * middle / next_fast_len(samples, real=True))
+    z = np.exp(2j * np.pi * middle / scipy.fft.next_fast_len(samples, real=True))
     power = np.add.reduceat(np.abs(command) ** 2, edges)
     counts = np.diff(np.append(edges, len(values)))
     position = position_response(z, signals.period, timing, signals.velocity_reference)
@@ -321,7 +320,7 @@ def _refined(spectrum: Spectrum, now: LawCandidate) -> LawCandidate:
     """The candidate with the best number of its estimator; the last step is parabolic interpolation."""
     period = spectrum.signals.period
 
-    def with_(estimator: AnyEstimator) -> LawCandidate:
+    def with_(estimator: KnownEstimator) -> LawCandidate:
         timing = replace(now.timing, velocity_estimator=estimator)
         return candidate(spectrum.at(timing), now.structure, timing, now.filters, now.wi)
 
@@ -396,8 +395,6 @@ def candidate(
 
 def polish(spectrum: Spectrum, start: LawCandidate, steps: int = STEPS) -> LawCandidate:
     """Improve integral rate and filters of a candidate together."""
-    from scipy.optimize import minimize
-
     s = spectrum.at(start.timing)
     furthest = FURTHEST if start.structure.form else 0.0
     bounds = [(-furthest, furthest)]
@@ -416,7 +413,9 @@ def polish(spectrum: Spectrum, start: LawCandidate, steps: int = STEPS) -> LawCa
 
     # Stop where a step gains next to nothing: smaller differences of the squares are rounding.
     options = {"ftol": STILL_GAINS, "gtol": 1e-6, "maxiter": steps}
-    minimum = minimize(squares, np.zeros(len(bounds)), jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    minimum = scipy.optimize.minimize(
+        squares, np.zeros(len(bounds)), jac=True, method="L-BFGS-B", bounds=bounds, options=options
+    )
     wi, filters = numbers(minimum.x)
     return candidate(s, start.structure, start.timing, filters, wi)
 

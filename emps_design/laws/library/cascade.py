@@ -24,7 +24,8 @@ from pydantic import Field, model_validator
 
 from emps_design.errors import InputError
 from emps_design.laws.estimators import BACKWARD, WORDS, VelocityEstimator, coefficients as of_estimator, states, taps
-from emps_design.laws.law import Finite, Group, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
+from emps_design.laws.law import LawKind, LawTable, velocity_in_words
+from emps_design.tables import AxisTable, Finite, NonNegative, Positive, parameter
 
 # What stands where in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter, then those of a
 # velocity estimator that filters.
@@ -96,20 +97,20 @@ def cascade(k, reference, q, f_ext, limit, gains, memory):
     return u
 
 
-class PositionLoop(Group):
+class PositionLoop(AxisTable):
     kp: Positive = parameter("gain of the position loop", "1/s")
     every: Annotated[int, Field(ge=1, le=1000, strict=True)] = parameter(
         "the position loop runs in every n-th sample", "samples", 1
     )
 
 
-class VelocityLoop(Group):
+class VelocityLoop(AxisTable):
     kp: Positive = parameter("gain of the velocity loop", "V/(m/s)")
     ti: Positive | None = parameter("integral time of the velocity loop, left out: no integral", "s", None)
     form: Literal["pi", "ip"] = parameter("pi: proportional to the error; ip: to the measured velocity", "", "pi")
 
 
-class Feedforward(Group):
+class Feedforward(AxisTable):
     velocity: Finite = parameter("share of the reference velocity that the velocity loop is given", "", 0.0)
     acceleration: Finite = parameter("feed-forward of the acceleration", "V/(m/s^2)", 0.0)
     coulomb: Finite = parameter("feed-forward of the Coulomb friction", "V", 0.0)
@@ -120,7 +121,7 @@ class Feedforward(Group):
     )
 
 
-class Filter(Group):
+class Filter(AxisTable):
     kind: Literal["lowpass", "notch"] = parameter("lowpass or notch", "")
     frequency: Positive = parameter("corner or centre frequency", "Hz")
     damping: Positive | None = parameter("damping of a notch, half its relative width", "", None)
@@ -252,7 +253,7 @@ def loops(p):
     return ("velocity loop", inner), ("position loop", p.model_copy(update={"feedforward": None}))
 
 
-LAW = LawKind(
+LAW: LawKind[object] = LawKind(
     name="cascade",
     label="cascade of a position and a velocity loop",
     source="servo drives",

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import InputError
-from emps_design.laws.estimators import BACKWARD, TWO_TAP, coefficients, states, taps
-from emps_design.laws.friction_model import FrictionModel
-from emps_design.laws.law import Law, LawKind, LawTable, NonNegative, Positive, parameter, velocity_in_words
+from emps_design.laws.estimators import BACKWARD, TWO_TAP, AnyEstimator, coefficients, states, taps
+from emps_design.laws.law import FrictionModel, Law, LawKind, LawTable, PlantTables, velocity_in_words
+from emps_design.tables import NonNegative, Positive, parameter
 
 REST = "rest position"  # what the law follows
 # What stands where in the kernel's gains.
@@ -117,9 +117,9 @@ class Parameters:
 
     mass: Any
     damping: Any
-    estimate: Any  # a FrictionModel
+    estimate: FrictionModel
     filters: Any
-    velocity_estimator: Any = TWO_TAP
+    velocity_estimator: AnyEstimator = TWO_TAP
     stiffness: Any = 0.0
     coulomb_factor: Any = 1.0
     current_factor: Any = 1.0
@@ -206,7 +206,7 @@ def equations(p, axis, period):
     return (*lines, f"tau[k+1] = {keep:.10g} * tau[k] + {(1.0 - keep) * g[FORCE_GAIN]:.10g} * {late}")
 
 
-LAW = LawKind(
+LAW: LawKind[PlantTables] = LawKind(
     name="impedance",
     label="impedance law without a force sensor",
     source="paper, section IV, (24) to (30)",

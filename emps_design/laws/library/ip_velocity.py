@@ -6,7 +6,8 @@ Source: section II-C of the paper, (6) to (9).
 """
 
 from emps_design.laws.estimators import TWO_TAP, coefficients, states, taps
-from emps_design.laws.law import LawKind, LawTable, Positive, parameter, velocity_in_words
+from emps_design.laws.law import LawKind, LawTable, velocity_in_words
+from emps_design.tables import Positive, parameter
 
 COEFFICIENTS, STATES = 5, 3  # places of a velocity estimator that filters, in gains and memory
 
@@ -72,7 +73,7 @@ def equations(p, axis, period):
     )
 
 
-LAW = LawKind(
+LAW: LawKind[object] = LawKind(
     name="ip_velocity",
     label="velocity law, integral on the error, proportional on the velocity",
     source="paper, section II-C, (6) to (9)",

@@ -3,7 +3,8 @@
 Source: the firmware of small servos; the gain may come from the record, ``kp = { record = "kp", scale = 1.0 }``.
 """
 
-from emps_design.laws.law import FromRecord, Gain, LawKind, LawTable, parameter
+from emps_design.laws.law import FromRecord, Gain, LawKind, LawTable
+from emps_design.tables import parameter
 
 
 def p(k, reference, q, f_ext, limit, gains, memory):

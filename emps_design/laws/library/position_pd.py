@@ -6,7 +6,8 @@ Source: the data set's own description (data/emps/README.md); the voltage is lim
 import numpy as np
 
 from emps_design.laws.estimators import coefficients, states, taps
-from emps_design.laws.law import LawKind, LawTable, Positive, parameter, velocity_in_words
+from emps_design.laws.law import LawKind, LawTable, velocity_in_words
+from emps_design.tables import Positive, parameter
 
 COEFFICIENTS, STATES = 4, 2  # places of a velocity estimator that filters, in gains and memory
 

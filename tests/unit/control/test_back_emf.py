@@ -9,7 +9,7 @@ from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.gains import sweep_velocity_loop
 from emps_design.errors import SpecificationError
 from emps_design.frequency_response.experiment import _steady_command
-from emps_design.laws.friction_model import FrictionModel
+from emps_design.laws.law import FrictionModel
 from emps_design.machines import machine
 
 PLAIN = machine("emps2018")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emps_design.errors import InputError
-from emps_design.laws.friction_model import FrictionModel
+from emps_design.laws.law import FrictionModel
 from emps_design.machines import machine
 from emps_design.simulation import Plant
 from tests.inverse_model import inverse_force, plant_force, steady_friction

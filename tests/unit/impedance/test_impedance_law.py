@@ -19,7 +19,7 @@ from emps_design.control.impedance.law import (
 )
 from emps_design.effects import known_effects
 from emps_design.errors import InputError, SpecificationError
-from emps_design.laws.friction_model import left_out
+from emps_design.laws.law import left_out
 from emps_design.machines import machine
 from emps_design.paper import written as y
 from emps_design.paper.loops import cost_of_printed, derived_law, felt_under, printed_law

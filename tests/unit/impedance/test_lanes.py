@@ -6,7 +6,7 @@ import pytest
 from emps_design.comanipulation.run import BLOCK, Setup, run_many
 from emps_design.comanipulation.task import NAMES, guided_task, pushed_task
 from emps_design.control.impedance.law import impedance_law
-from emps_design.laws.friction_model import PARAMETERS
+from emps_design.laws.law import PARAMETERS
 from emps_design.machines import machine
 
 LAWS = 41  # some lanes stay empty

@@ -52,7 +52,7 @@ def test_what_a_hand_feels_with_30_as_printed(capsys):
     import json
 
     from emps_design.cli.app import run
-    from emps_design.laws.friction_model import FrictionModel
+    from emps_design.laws.law import FrictionModel
     from emps_design.machines import machine
     from emps_design.paper import cost_of_printed
 
