@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from emps_design.axis import Axis
+from emps_design.records import Record
 from emps_design.request import option
-
-if TYPE_CHECKING:
-    from emps_design.axis import Axis
-    from emps_design.records import Record
 
 
 def read_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:

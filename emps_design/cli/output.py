@@ -14,16 +14,13 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from emps_design.advice import Advice, advise, advise_on_error
 from emps_design.errors import EmpsError, one_line, printable
 from emps_design.progress import Progress
 from emps_design.units import LINEAR, Units
-from emps_design.view import BLOCKS, Line, show
-
-if TYPE_CHECKING:
-    from emps_design.view import View
+from emps_design.view import BLOCKS, Line, View, show
 
 # Arguments of the library whose flag is not their name; a report identifies as well, without those options.
 FLAGS = {"cutoff_hz": "--cutoff", "identify": "--estimator ls", "target": "--to", "overwrite": "--force"}

@@ -10,10 +10,11 @@ import ctypes
 import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from emps_design.axis import Axis
 from emps_design.codegen.program import (
     ARRAY,
     INT,
@@ -40,10 +41,8 @@ from emps_design.effects.effect import ADDED
 from emps_design.errors import AxisError, InputError
 from emps_design.laws import Law, LawKind, LawTable, Positive, get_law, law_of, parameter
 from emps_design.observer import ForceObserver, force_observer
+from emps_design.simulation.kernels.compile import address
 from emps_design.simulation.kernels.inverse import PASSES
-
-if TYPE_CHECKING:
-    from emps_design.axis import Axis
 
 COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
@@ -371,7 +370,6 @@ class Block:
 
     def _compiled(self) -> Any:
         """The kernel in the machine code of the simulation, and C arrays of its gains and its memory."""
-        from emps_design.simulation.kernels.compile import address
 
         number, numbers = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
         kernel = ctypes.CFUNCTYPE(number, ctypes.c_ssize_t, *[number] * 4, numbers, numbers)(

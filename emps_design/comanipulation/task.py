@@ -22,12 +22,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw
-from emps_design.control.impedance.passivity import (
-    Clock,
-    Environment,
-    relay_oscillations,
-    sampled_loop,
-)
+from emps_design.control.impedance.passivity import Clock, Environment, relay_oscillations, sampled_loop
 from emps_design.control.impedance.robustness import VERDICTS, break_away, exact_and_corners, stacked
 from emps_design.control.sampled import MARGINAL
 from emps_design.errors import InputError

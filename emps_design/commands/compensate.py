@@ -11,6 +11,7 @@ from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import AXIS, JSON, make_folder
 from emps_design.errors import InputError
+from emps_design.files import write_text, write_together
 from emps_design.inputs import axis_argument
 from emps_design.request import Request, option
 
@@ -91,7 +92,6 @@ def answer(request: CompensateRequest) -> Reply:
 
 def _write(out: Path, compensation: Compensation, document: str) -> str:
     """Write the axis and the JSON ``document`` into the folder ``out``."""
-    from emps_design.files import write_text, write_together
 
     make_folder(out)
     with write_together(out) as aside:

@@ -10,6 +10,7 @@ from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ARCHIVE, PAGE, check_out
 from emps_design.errors import InputError
+from emps_design.files import write_text
 from emps_design.request import Request, option
 from emps_design.view import Line, Table, View
 
@@ -43,7 +44,6 @@ class DemoRequest(Request):
 
 def answer(request: DemoRequest) -> Reply:
     """The record, the report on it, and what each step of the work gave."""
-    from emps_design.files import write_text
     from emps_design.machines import machine
     from emps_design.report.assemble import assemble_report, usual_force_loop
     from emps_design.simulation.synthetic import synthetic_record

@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
-from emps_design.commands.destinations import (
-    ARCHIVE,
-    AXIS,
-    CODE,
-    JSON,
-    TABLE,
-    check_folder,
-    make_folder,
-)
+from emps_design.commands.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
 from emps_design.errors import InputError
 from emps_design.files import read_json
 from emps_design.inputs import axis_argument

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.commands import Reply
 from emps_design.commands.options import VelocityLoopRequest, write_axis
+from emps_design.control.velocity.gains import IP, own_filters, own_gains, own_structure
 from emps_design.control.view import force_view
 from emps_design.errors import InputError
+from emps_design.laws.library import ip_velocity
 from emps_design.messages import Message, note
 from emps_design.request import Request, option
 
@@ -47,8 +49,6 @@ class ForceRequest(VelocityLoopRequest, ContactRequest):
 def answer(request: ForceRequest) -> Reply:
     """Stability of the force loop in contact, its margins, and the largest force gain."""
     from emps_design.control.force import design_force_loop
-    from emps_design.control.velocity.gains import IP
-    from emps_design.laws.library import ip_velocity
 
     k_e1, hand, units = request.gain, request.hand, request.axis.units
     notes = []
@@ -81,7 +81,6 @@ def answer(request: ForceRequest) -> Reply:
 def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, list[Message]]:
     """The velocity loop inside: as specified, of the axis file, or the paper's; and a message if not specified."""
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
-    from emps_design.control.velocity.gains import own_filters, own_gains, own_structure
 
     machine, structure, crossover = request.machine, request.wanted_structure, request.crossover
     origin, own = list[Message](), own_gains(machine)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import MATLAB, PICTURES, TABLE
+from emps_design.files import write_aside
 from emps_design.frequency_response.estimate import METHODS
 from emps_design.frequency_response.signals import INSTRUMENTS
 from emps_design.inputs import axis_option, read_record
@@ -70,7 +71,6 @@ def answer(request: FrfRequest) -> Reply:
 
 
 def _draw(path: Path, estimate: ResponseEstimate) -> None:
-    from emps_design.files import write_aside
     from emps_design.report.loop_figures import response_figure
     from emps_design.report.style import draw, labelled
 

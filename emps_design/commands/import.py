@@ -10,6 +10,7 @@ from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ARCHIVE, PAGE, PICTURES, TABLE
 from emps_design.errors import InputError
+from emps_design.files import write_aside, write_text
 from emps_design.inputs import axis_option
 from emps_design.request import Request, option
 from emps_design.view import Line
@@ -75,7 +76,6 @@ def answer(request: ImportRequest) -> Reply:
 
 
 def _draw(path: Path, account: Account) -> None:
-    from emps_design.files import write_aside, write_text
     from emps_design.report.record import import_page, record_figure
     from emps_design.report.style import draw
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from emps_design.axis import Axis
 from emps_design.commands.destinations import AXIS
-from emps_design.control.velocity.gains import FILTER_TEXTS, NO_FILTER, filter_from_text
+from emps_design.control.velocity.gains import FILTER_TEXTS, NO_FILTER, Structure, filter_from_text, own_structure
 from emps_design.errors import InputError
 from emps_design.files import write_text
 from emps_design.inputs import axis_argument
@@ -24,7 +24,6 @@ from emps_design.request import HERTZ as HERTZ, RAD_S as RAD_S, RATIO as RATIO, 
 if TYPE_CHECKING:
     from emps_design.control.position import PositionLoopDesign
     from emps_design.control.velocity.design import VelocityLoopDesign
-    from emps_design.control.velocity.gains import Structure
     from emps_design.control.velocity.load_range import LoadRange
 
 
@@ -155,7 +154,6 @@ class VelocityLoopRequest(Request):
     @property
     def wanted_structure(self) -> Structure:
         """The structure of the request, or that of the controller of the axis."""
-        from emps_design.control.velocity.gains import own_structure
 
         structure = own_structure(self.machine, self.structure)
         if structure.form == "ip":

@@ -12,6 +12,7 @@ from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ARCHIVE, PICTURES, TABLE
 from emps_design.errors import InputError
+from emps_design.files import write_aside
 from emps_design.inputs import read_axis, read_record
 from emps_design.request import Request, option
 from emps_design.units import LINEAR
@@ -147,7 +148,6 @@ def _write(out: Path, result: Any) -> None:
 
 
 def _draw(path: Path, result: Any) -> None:
-    from emps_design.files import write_aside
     from emps_design.report.style import draw, labelled
 
     figure = labelled(result.run.plot()[0].figure, result.axis.units)

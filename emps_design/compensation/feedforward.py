@@ -19,19 +19,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from emps_design.axis import Axis, AxisEffect
 from emps_design.effects import Effect
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.two_mass import LOWEST, RESONANCES, is_coupling, linear_coupling
 from emps_design.errors import EmpsError
+from emps_design.laws import get_law, table_of
 from emps_design.messages import grave, note
 from emps_design.units import Units
-
-if TYPE_CHECKING:
-    from emps_design.axis import Axis, AxisEffect
 
 BASELINE = {"inertia": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "constant": OFFSET}
 LEAD = "lead"
@@ -206,8 +205,6 @@ def _filter(axis: Axis) -> dict[str, Any]:
 
 def _gain(axis: Axis, place: int) -> dict[str, Any]:
     """The gain of the law of ``axis`` up to which no limit cycle is expected from its play at ``place``."""
-    from emps_design.laws import get_law, table_of
-
     factor, name = largest_factor(axis, place), get_law(axis.controller.kind).gain
     now: Any = table_of(axis) if name else None
     for part in name.split(".") if name else ():

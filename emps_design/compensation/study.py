@@ -12,10 +12,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from emps_design.axis import Axis
 from emps_design.compensation.feedforward import (
     BASELINE,
     LEAD,
@@ -29,10 +30,8 @@ from emps_design.control.sampled import nested_loops, worst_loop
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import Law, law_of
 from emps_design.messages import Message, warning
+from emps_design.simulation import Plant, trapezoid_laps
 from emps_design.view import Line, Table, View, Viewed
-
-if TYPE_CHECKING:
-    from emps_design.axis import Axis
 
 MISMATCH, PHASE_DEG = 0.02, 10.0  # errors of parameters and of phases
 ON_ERROR = "beside a feed-forward the law is given the position error alone: reference 0, position less the reference"
@@ -155,9 +154,7 @@ class Trial:
     q_ref: np.ndarray
 
     @cached_property
-    def _plant(self) -> Any:
-        from emps_design.simulation import Plant
-
+    def _plant(self) -> Plant:
         return Plant.of(self.axis)
 
     @cached_property
@@ -251,8 +248,6 @@ def compensate(
         if not (math.isfinite(value) and value >= 0.0):
             raise InputError(f"`{name}`: found {value:g}, expected a number of at least 0")
     if q_ref is None:
-        from emps_design.simulation import trapezoid_laps
-
         q_ref = trapezoid_laps(axis.sampling.period, laps=1)
     possible, not_compensated = terms_of(axis)
     unknown = [name for name in terms or () if name not in possible]

@@ -27,7 +27,9 @@ from emps_design.control.sampled import (
     safety,
     worst_loop,
 )
+from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.gains import STRUCTURES
+from emps_design.control.velocity.limits import retune_velocity_loop
 from emps_design.control.velocity.load_range import (
     LoadRange,
     corners,
@@ -41,7 +43,6 @@ from emps_design.messages import Message, grave, warning
 
 if TYPE_CHECKING:
     from emps_design.control.position import PositionLoopDesign
-    from emps_design.control.velocity.design import VelocityLoopDesign
 
 NOMINAL = {"inertia": 1.0, "compliance": 1.0, "delay": 0.0}
 
@@ -301,8 +302,6 @@ def redesigned(design: VelocityLoopDesign, frequency: float) -> VelocityLoopDesi
     >>> slower.requested
     {'crossover': 40.0, 'phase_margin_deg': 50.0}
     """
-    from emps_design.control.velocity.design import design_velocity_loop
-    from emps_design.control.velocity.limits import retune_velocity_loop
 
     request: dict[str, Any] = {**design.requested, next(iter(design.requested)): frequency}
     request |= {"velocity": design.velocity, "structure": design.structure, "filters": design.filters}

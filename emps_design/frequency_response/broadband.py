@@ -94,7 +94,7 @@ def blocks(signals: Signals, samples: int) -> Iterator[slice]:
 def local_polynomial(signals: Signals, part: slice, lowest: float, highest: float) -> Answer:
     """The answer over one block at every (n/2)-th line from ``lowest`` to ``highest`` [Hz]."""
     size = part.stop - part.start
-    r, dq, u = (_spectrum(values[part], scipy.fft.rfft) for values in (signals.r, signals.dq, signals.u))
+    r, dq, u = (scipy.fft.rfft(_detrended(x[part])) / np.sqrt(size) for x in (signals.r, signals.dq, signals.u))
     both = np.stack([dq, u], axis=-1)
     step = 1.0 / (size * signals.period)
     low, high = max(NEAR + 1, round(lowest / step)), min(r.size - NEAR - 2, int(highest / step))
@@ -208,10 +208,6 @@ def _windowed(spectrum: np.ndarray, lines: np.ndarray) -> np.ndarray:
     before, at, after = (spectrum[lines + i] for i in (-1, 0, 1))
     cosine = 0.5 * (before + after)
     return np.array([0.5 * (at - cosine), -0.5j * (before - after), cosine])
-
-
-def _spectrum(values: np.ndarray, rfft: object) -> np.ndarray:
-    return rfft(_detrended(values)) / np.sqrt(values.size)  # type: ignore[operator]
 
 
 def _detrended(values: np.ndarray) -> np.ndarray:

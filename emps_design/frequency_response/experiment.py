@@ -30,15 +30,8 @@ from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.files import write_aside
 from emps_design.frequency_response.estimate import HIGHEST_SHARE
 from emps_design.frequency_response.signals import repeated_share
-from emps_design.frequency_response.waves import (
-    BLOCKS,
-    GROUP,
-    PLACES,
-    ExcitationRequest,
-    MultiSine,
-    SteppedSine,
-    Wave,
-)
+from emps_design.frequency_response.waves import BLOCKS, GROUP, PLACES, ExcitationRequest, MultiSine, SteppedSine, Wave
+from emps_design.laws import law_of
 from emps_design.laws.estimators import estimator_response
 from emps_design.messages import Message, warning
 from emps_design.records.layout import LONGEST
@@ -363,7 +356,7 @@ def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) ->
     }
     amplitude, bound_by = _amplitude(axis, limits, speed, steady, unit)
     carried = spectrum
-    if by == "reference" and _follows_velocity(axis):
+    if by == "reference" and law_of(axis, period).follows == "velocity":
         carried = spectrum * period / (1.0 - np.exp(-1j * w * period))
     trains, each = wave.trains(amplitude * carried, flat, request.passes)
 
@@ -441,12 +434,6 @@ def _bounds(axis: Axis, limits: Limits) -> list[Bound]:
             Bound(f"{axis.units.word('force')} limit", limits.force, lambda reached: gain * reached.command, unit("N"))
         )
     return bounds
-
-
-def _follows_velocity(axis: Axis) -> bool:
-    from emps_design.laws import law_of
-
-    return law_of(axis, axis.sampling.period).follows == "velocity"
 
 
 def _between_steps(speed: float, axis: Axis, wave: Wave) -> float:

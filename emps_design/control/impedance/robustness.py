@@ -22,12 +22,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
-from emps_design.control.impedance.passivity import (
-    CLOSE,
-    Clock,
-    recursion_poles,
-    sampled_loop,
-)
+from emps_design.control.impedance.passivity import CLOSE, Clock, recursion_poles, sampled_loop
 from emps_design.control.margins import bisect
 from emps_design.control.sampled import MARGINAL, PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
 from emps_design.control.velocity.load_range import corners as corners_of

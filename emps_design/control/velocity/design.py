@@ -27,6 +27,7 @@ from emps_design.axis import Axis, Controller
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.linear_plant import ActuatorMap
 from emps_design.control.margins import LOOP_NAMES, Margins
+from emps_design.control.sampled import NestedLoop, nested_loops
 from emps_design.control.velocity.gains import (
     IP,
     Structure,
@@ -59,7 +60,6 @@ from emps_design.view import View, Viewed
 if TYPE_CHECKING:
     import control
 
-    from emps_design.control.sampled import NestedLoop
 
 CONSTANT = 1e-9  # a pole closer than this to the unit circle counts as one at z = 1
 
@@ -403,7 +403,6 @@ class VelocityLoopDesign(Viewed):
 
         A position loop designed for a faster velocity loop may be unstable around this one.
         """
-        from emps_design.control.sampled import nested_loops
 
         own = self.axis.controller
         if own.kind != cascade.LAW.name or own.parameters.get("position") is None or not self.sampled.stable:

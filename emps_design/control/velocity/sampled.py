@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant, frequencies_around, oscillations
 from emps_design.control.linear_plant import POSITION, LinearPlant, linear_plant
 from emps_design.control.margins import (
@@ -47,7 +48,6 @@ from emps_design.messages import Message, grave, note
 if TYPE_CHECKING:
     import control
 
-    from emps_design.axis import Axis
 
 BLOCK = 64  # consecutive samples, and at least a cycle
 EVERY = 20_000  # first samples, all of which are returned

@@ -20,12 +20,7 @@ import numpy as np
 
 from emps_design.identification.controller.best_law import AS_GOOD, BestLaw, command_of
 from emps_design.identification.controller.fit import LawFit, covariance, fit, with_deviations
-from emps_design.identification.controller.regressors import (
-    ControllerSignals,
-    estimator_table,
-    regressors,
-    sought,
-)
+from emps_design.identification.controller.regressors import ControllerSignals, estimator_table, regressors, sought
 from emps_design.laws import leaves
 from emps_design.laws.estimators import NUMBERS, Estimator, estimator_in_words
 from emps_design.records import Record
