@@ -33,6 +33,6 @@ def axis_argument(default: Any, help: str = "TOML file or embedded machine") -> 
     return option(default, help, argument=True, typed=str, read=read_axis)
 
 
-def axis_option(help: str, default: str = "emps2019") -> Any:
+def axis_option(help: str) -> Any:
     """The axis as an option of a command that takes records."""
-    return option(default, help, typed=str, read=read_axis)
+    return option("emps2019", help, typed=str, read=read_axis)

@@ -175,13 +175,13 @@ def rounded(value: float, places: int = 2) -> str:
     return f"{value:.{places}g}" if small else f"{value:.{places}f}"
 
 
-def decimals(size: float, places: int = 4) -> int:
-    """Decimals for a number of about ``size``: ``places``, or those of ``places`` significant digits below 0.1.
+def decimals(size: float) -> int:
+    """Decimals for a number of about ``size``: 4, or those of 4 significant digits below 0.1.
 
     >>> decimals(96.2), decimals(0.5), decimals(0.00025), decimals(0.0)
     (4, 4, 7, 4)
     """
-    return places if not 0.0 < abs(size) < 0.1 else places - 1 - math.floor(math.log10(abs(size)))
+    return 4 if not 0.0 < abs(size) < 0.1 else 3 - math.floor(math.log10(abs(size)))
 
 
 def one_two_five(ratio: float) -> float:

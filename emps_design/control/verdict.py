@@ -354,8 +354,8 @@ class StepResponse:
         return {key: value for key, value in asdict(self).items() if key not in ("t", "y")}
 
 
-def measure_step(t: np.ndarray, y: np.ndarray, final: float = 1.0) -> StepResponse:
-    """Read overshoot, rise and settling off ``y`` (n,) over ``t`` (n,) [s] that tends to ``final``.
+def measure_step(t: np.ndarray, y: np.ndarray) -> StepResponse:
+    """Read overshoot, rise and settling off ``y`` (n,) over ``t`` (n,) [s] that tends to 1.
 
     >>> t = np.linspace(0.0, 10.0, 100_001)
     >>> first_order = measure_step(t, 1.0 - np.exp(-t))
@@ -363,22 +363,21 @@ def measure_step(t: np.ndarray, y: np.ndarray, final: float = 1.0) -> StepRespon
     (2.197, 3.912)
     """
     y = np.asarray(y, dtype=float)
-    share = y / final
-    peak = int(np.argmax(share))
-    low, high = _first_crossing(t, share, 0.1), _first_crossing(t, share, 0.9)
-    outside = np.flatnonzero(np.abs(share - 1.0) > SETTLED)
+    peak = int(np.argmax(y))
+    low, high = _first_crossing(t, y, 0.1), _first_crossing(t, y, 0.9)
+    outside = np.flatnonzero(np.abs(y - 1.0) > SETTLED)
     if not outside.size:
         settling: float | None = float(t[0])
-    elif outside[-1] == share.size - 1:
+    elif outside[-1] == y.size - 1:
         settling = None
     else:
         last = outside[-1]
-        bound = 1.0 + SETTLED * np.sign(share[last] - 1.0)
-        settling = float(np.interp(bound, *_ascending(share[last : last + 2], t[last : last + 2])))
+        bound = 1.0 + SETTLED * np.sign(y[last] - 1.0)
+        settling = float(np.interp(bound, *_ascending(y[last : last + 2], t[last : last + 2])))
     return StepResponse(
         t,
         y,
-        float(max(0.0, 100.0 * (share[peak] - 1.0))),
+        float(max(0.0, 100.0 * (y[peak] - 1.0))),
         None if low is None or high is None else high - low,
         settling,
         float(y[peak]),

@@ -101,9 +101,8 @@ def instants(
     a: np.ndarray,
     away: np.ndarray,
     column: np.ndarray,
-    count: int = 3,
 ) -> list[float]:
-    """Instants [s] from which on ``column`` (n,) explains most of ``residual``."""
+    """The three instants [s] from which on ``column`` (n,) explains most of ``residual``."""
     index = thin(away)
     if index.size < 100:
         return []
@@ -117,7 +116,7 @@ def instants(
 
     coarse = np.linspace(t[index[0]], t[index[-1]], 62)
     step, edges = coarse[1] - coarse[0], []
-    for best in strongest(power(coarse[1:-1]), count):  # then to a fiftieth of the step: an edge has no gradient
+    for best in strongest(power(coarse[1:-1]), 3):  # then to a fiftieth of the step: an edge has no gradient
         fine = coarse[1 + best] + np.linspace(-step, step, 101)
         edges.append(float(fine[int(np.argmax(power(fine)))]))
     return edges

@@ -451,11 +451,7 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
 
 
 def import_record(
-    path: str | Path,
-    axis: Axis,
-    max_bytes: int | None = None,
-    resample: bool = False,
-    window: tuple[float, float] | None = None,
+    path: str | Path, axis: Axis, resample: bool = False, window: tuple[float, float] | None = None
 ) -> Record:
     """Read the record at ``path`` by the ``[record]`` table of ``axis``, in SI units and the command unit of the axis.
 
@@ -465,12 +461,11 @@ def import_record(
     message of one line, where a column is uncertain or the numbers cannot be of this axis.
     """
     layout = replace(layout_of(axis), resample=resample, window=window)
-    if max_bytes is None:
-        max_bytes = MAX_BYTES if window is None else MAX_BYTES_TO_CUT
+    max_bytes = MAX_BYTES if window is None else MAX_BYTES_TO_CUT
     return with_contradictions(axis, check_against(axis, read_record(path, max_bytes, layout), str(path)))
 
 
-def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYTES) -> Record:
+def import_bytes(content: bytes, name: str, axis: Axis) -> Record:
     """Read the ``content`` of a file called ``name`` as :func:`import_record` does.
 
     >>> from emps_design.machines import machine
@@ -480,7 +475,7 @@ def import_bytes(content: bytes, name: str, axis: Axis, max_bytes: int = MAX_BYT
     >>> round(float(record.q[-1]), 6), record.assigned[2].title
     (0.059, 'Lageistwert [mm]')
     """
-    read = record_from_bytes(content, name, None, max_bytes, layout_of(axis))
+    read = record_from_bytes(content, name, layout=layout_of(axis))
     return with_contradictions(axis, check_against(axis, read, name))
 
 

@@ -207,20 +207,14 @@ def own_poles(law: Law, period: float) -> np.ndarray:
     return np.linalg.eigvals(A[..., inside, :][..., inside])
 
 
-def run_linear(
-    law: Law,
-    period: float,
-    direction: float = 1.0,
-    signals: dict[int, str] | None = None,
-    limit: float = np.inf,
-) -> tuple[Linear, list[Linear]]:
+def run_linear(law: Law, period: float, direction: float = 1.0, limit: float = np.inf) -> tuple[Linear, list[Linear]]:
     """Output and next memory of ``law`` as linear numbers of its memory, by place, and of its inputs, by name.
 
     Gains may be linear numbers themselves: a value to decide branches by, and a symbol as its constant. With a
     ``limit`` below zero the voltage is at its limit, whatever it would be. Of a law's cycle it is the first sample.
     """
     k, past = next(_slide(law, period, direction))
-    return _run(law, period, direction, k, past, signals, limit)
+    return _run(law, period, direction, k, past, limit=limit)
 
 
 def _slide(law: Law, period: float, direction: float) -> Iterator[tuple[int, list[Any]]]:

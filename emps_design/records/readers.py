@@ -63,27 +63,27 @@ def _open(path: Path, max_bytes: int) -> Iterator[BinaryIO]:
         raise RecordError(f"{path}: {reason}; expected a .mat, .csv or .npz record") from error
 
 
-def read_titles(path: str | Path, max_bytes: int = MAX_BYTES) -> list[str]:
+def read_titles(path: str | Path) -> list[str]:
     """The titles of the columns, or names of the arrays, of the file at ``path``; raises :class:`RecordError`."""
-    with _open(Path(path), max_bytes) as file:
-        return _titles(file, Path(path).name, str(path), max_bytes)
+    with _open(Path(path), MAX_BYTES) as file:
+        return _titles(file, Path(path).name, str(path))
 
 
-def titles_from_bytes(content: bytes, name: str, max_bytes: int = MAX_BYTES) -> list[str]:
+def titles_from_bytes(content: bytes, name: str) -> list[str]:
     """The titles of the columns in the ``content`` of a file called ``name``.
 
     >>> titles_from_bytes(b"a comment\\nt [ms];q;u\\n0;1;2\\n1;1;3\\n2;1;4", "a.csv")
     ['t [ms]', 'q', 'u']
     """
-    _refuse_large(len(content), name, max_bytes)
-    return _titles(io.BytesIO(content), name, name, max_bytes)
+    _refuse_large(len(content), name, MAX_BYTES)
+    return _titles(io.BytesIO(content), name, name)
 
 
-def _titles(file: BinaryIO, name: str, source: str, max_bytes: int) -> list[str]:
+def _titles(file: BinaryIO, name: str, source: str) -> list[str]:
     head, kind = _head_and_kind(file, name, source)
     if kind == ".csv":
         return table_titles(file, source)
-    return [key for key, values in _arrays(file, kind, head, source, max_bytes).items() if np.size(values) > 1]
+    return [key for key, values in _arrays(file, kind, head, source, MAX_BYTES).items() if np.size(values) > 1]
 
 
 def record_from_bytes(
