@@ -186,13 +186,13 @@ def make_request(
     kind: type[RequestType],
     values: Mapping[str, Any],
     given: Iterable[str],
-    on_axis: Callable[[Any], None] = lambda axis: None,
+    on_units: Callable[[Units], None] = lambda units: None,
     **more: Any,
 ) -> RequestType:
     """A request of ``kind`` from ``values``: texts, names and paths are read, the axis first, for it tells how to.
 
-    ``given`` are the names that the user set; ``more`` are fields that are no options. ``on_axis`` is called with the
-    axis. The options are checked before records are read.
+    ``given`` are the names that the user set; ``more`` are fields that are no options. ``on_units`` is called with
+    the units of the axis. The options are checked before records are read.
     """
     made, sources, late = dict(values), {}, []
     for entry in _declared_by(kind).read:
@@ -208,7 +208,7 @@ def make_request(
             continue
         made[name] = _read(entry, value, made.get("axis"))
         if name == "axis":
-            on_axis(made[name])
+            on_units(getattr(made[name], "units", LINEAR))
     request = kind(**made, given=frozenset(given), sources=sources, **more)
     records = {entry.name: _read(entry, made[entry.name], made.get("axis")) for entry in late}
     changed = {name: value for name, value in records.items() if value is not made[name]}

@@ -23,12 +23,10 @@ from emps_design.commands.destinations import OVERWRITE, check_folder, check_nam
 from emps_design.errors import EmpsError, InputError, SimulationError, SpecificationError, UnstableError
 from emps_design.interrupts import STATUS as INTERRUPTED
 from emps_design.request import OPTION, Option, Request, flags_of, make_request, options_of, types_of
-from emps_design.units import LINEAR
+from emps_design.units import Units
 
 if TYPE_CHECKING:
     import typer
-
-    from emps_design.axis import Axis
 
 # Commands in the order of the work, each with its sentence in the help of all commands.
 GROUPS = {
@@ -292,12 +290,12 @@ def _perform(context: typer.Context, terminal: Terminal, module: Any, values: Ma
     if as_json:
         _refuse_printed(kind, given)
 
-    def in_units_of(axis: Axis | None) -> None:
-        terminal.units = LINEAR if axis is None else axis.units
+    def speak_in(units: Units) -> None:
+        terminal.units = units
 
     with terminal.progress() as progress:
         overwrite = bool(values.get("force"))
-        request = make_request(kind, own, given, in_units_of, progress=progress, overwrite=overwrite)
+        request = make_request(kind, own, given, speak_in, progress=progress, overwrite=overwrite)
         answer: Reply = module.answer(request)
     terminal.units = answer.units
     _print(terminal, answer, _with_advice(terminal, answer, own), as_json)
