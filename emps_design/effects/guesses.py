@@ -10,6 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from emps_design.stretches import stretches
+
 SHARP = 2e-3  # s, resolution of the edges of pulses
 THINNED = 3000  # samples kept for a search: above 100 Hz of a 25 s record
 MOST_PULSES = 100  # of a train; more of them are a periodic disturbance
@@ -132,13 +134,7 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
     spread = 1.4826 * float(np.median(np.abs(smooth))) + 1e-12
     trains: list[dict[str, float]] = []
     for sign in (1.0, -1.0):
-        beyond = np.concatenate(([0], (sign * smooth > 4 * spread).astype(int), [0]))
-        edges = np.diff(beyond)
-        runs = [
-            (a, b)
-            for a, b in zip(np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0], strict=True)
-            if (b - a) * period > 0.04
-        ]
+        runs = [(a, b) for a, b in stretches(sign * smooth > 4 * spread) if (b - a) * period > 0.04]
         if not runs:
             continue
         heights = [float(smooth[a:b].mean()) for a, b in runs]

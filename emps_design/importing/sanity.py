@@ -28,6 +28,7 @@ from emps_design.records import Record
 from emps_design.records.clock import same_period
 from emps_design.records.layout import NAMED, Doubt
 from emps_design.records.record import quantisation_step
+from emps_design.stretches import stretches
 
 WEAK_LOOP = 20.0  # largest ratio of position to reference under any controller, or of reference to position
 STIFF = 0.999  # least correlation of position and reference of a loop that follows
@@ -438,8 +439,7 @@ def _held_share(record: Record, step: float) -> float:
     """Share of the samples in motion at which the command is held briefly; 0 where its resolution explains that."""
     u = record.u
     same = np.diff(u) == 0.0
-    ends = np.flatnonzero(np.diff(same, prepend=False, append=False))
-    for start, stop in zip(ends[::2], ends[1::2], strict=True):
+    for start, stop in stretches(same):
         if stop - start > SHORT:
             same[start:stop] = False
     same &= np.abs(u[1:]) < 0.98 * np.max(np.abs(u))
