@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.advice.advice import where_in_words
+from emps_design.advice import where_in_words
 from emps_design.axis import Axis
 from emps_design.control.discretisation import (
     SampledPlant,

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.advice.advice import where_in_words
+from emps_design.advice import where_in_words
 from emps_design.control.discretisation import SampledPlant, sample_axis
 from emps_design.control.linear_plant import POSITION, VELOCITY, Environment, attached, felt
 from emps_design.control.margins import Margins, loop_margins

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.advice.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG, where_in_words
+from emps_design.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG, where_in_words
 from emps_design.axis import Axis
 from emps_design.control.discretisation import SampledPlant, law_peaks, peaks_of_roots, sample_axis
 from emps_design.control.linear_plant import POSITION, VELOCITY, Felt

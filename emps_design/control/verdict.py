@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from emps_design.advice.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG, where_in_words
+from emps_design.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG, where_in_words
 from emps_design.axis import Axis
 from emps_design.control.sampled import (
     VELOCITY_LOOP,
@@ -57,7 +57,7 @@ SETTLED = 0.02  # band around the final value, as a share of it
 class Case:
     """An ``axis`` with its controller, linearised at ``velocity`` [m/s], with an additional ``delay`` [s].
 
-    ``where`` holds its differences from the nominal axis, see :func:`~emps_design.advice.advice.where_in_words`.
+    ``where`` holds its differences from the nominal axis, see :func:`~emps_design.advice.where_in_words`.
     """
 
     axis: Axis

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from emps_design.advice.advice import where_in_words
+from emps_design.advice import where_in_words
 from emps_design.control.margins import HERTZ, MARGINS, Row
 from emps_design.units import Units
 from emps_design.view import Cell, Line, Table, View

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from emps_design.advice import Advice
-from emps_design.advice.advice import where_in_words
+from emps_design.advice import Advice, where_in_words
 from emps_design.control.sampled import VELOCITY_LOOP
 from emps_design.control.view import warning_lines
 from emps_design.report.page import (

@@ -58,7 +58,7 @@ def _only_messages(monkeypatch):
         assert isinstance(text, Message), text
         return text.severity
 
-    monkeypatch.setattr("emps_design.advice.advice.severity_of", severity)
+    monkeypatch.setattr("emps_design.advice.severity_of", severity)
 
 
 @pytest.fixture(scope="module", params=AXES)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from emps_design.advice.advice import where_in_words
+from emps_design.advice import where_in_words
 from emps_design.axis import Axis
 from emps_design.cli.app import run
 from emps_design.control.force import design_force_loop
