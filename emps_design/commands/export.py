@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
+from emps_design import codegen
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ARCHIVE, AXIS, CODE, JSON, TABLE, check_folder, make_folder
@@ -14,9 +15,6 @@ from emps_design.files import read_json
 from emps_design.inputs import axis_argument
 from emps_design.request import HERTZ, Request, option
 from emps_design.view import Line
-
-if TYPE_CHECKING:
-    from emps_design.codegen import Exported
 
 MAX_BYTES = 1_000_000  # of a compensation
 KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # any other file is code
@@ -59,16 +57,15 @@ def answer(request: ExportRequest) -> Reply:
     return Reply(document, view, request.axis.units, warnings=tuple(document["warnings"]))
 
 
-def _exported(request: ExportRequest) -> Exported:
-    from emps_design.codegen import export_controller, export_observer
+def _exported(request: ExportRequest) -> codegen.Exported:
     from emps_design.codegen.targets import origin_of
 
     feedforward = None if request.compensation is None else _read(request.compensation)
     file = Path(request.sources.get("axis", ""))
     origin = origin_of(file.name, file.read_bytes()) if file.is_file() else ""
     if request.observer is not None:
-        return export_observer(request.axis, request.target, request.observer, origin)
-    return export_controller(request.axis, request.target, feedforward, origin)
+        return codegen.export_observer(request.axis, request.target, request.observer, origin)
+    return codegen.export_controller(request.axis, request.target, feedforward, origin)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import MATLAB, PICTURES, TABLE
 from emps_design.files import write_aside
-from emps_design.frequency_response.estimate import METHODS
+from emps_design.frequency_response.estimate import METHODS, ResponseEstimate, estimate_response
+from emps_design.frequency_response.response import write_response
 from emps_design.frequency_response.signals import INSTRUMENTS
 from emps_design.inputs import axis_option, read_record
 from emps_design.request import HERTZ, Request, option
-
-if TYPE_CHECKING:
-    from emps_design.frequency_response import ResponseEstimate
 
 LONG = 1_000_000  # samples from which on a progress bar is worth it
 
@@ -56,8 +54,6 @@ class FrfRequest(Request):
 
 def answer(request: FrfRequest) -> Reply:
     """The response with its deviations, written and drawn where the request says so."""
-    from emps_design.frequency_response import estimate_response, write_response
-
     records, axis = request.records, request.axis
     progress = request.progress if sum(map(len, records)) >= LONG else None
     estimate = estimate_response(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from emps_design.axis import Axis
 from emps_design.commands import Reply
@@ -12,13 +12,12 @@ from emps_design.commands.destinations import AXIS
 from emps_design.commands.options import write_axis
 from emps_design.errors import EmpsError, InputError, one_line
 from emps_design.identification.excitation import goes_one_way
+from emps_design.identification.identify import identify
 from emps_design.identification.result import AUTO, BY_LEAST_SQUARES, HOLDOUT, Identification, IdentificationRequest
+from emps_design.identification.several import SeveralIdentifications, identify_several, identify_together
 from emps_design.inputs import axis_option, read_record
 from emps_design.records import Record
 from emps_design.request import Request, option, options_of
-
-if TYPE_CHECKING:
-    from emps_design.identification.several import SeveralIdentifications
 
 
 @dataclass(frozen=True)
@@ -80,9 +79,6 @@ def answer(request: IdentifyRequest) -> Reply:
 
 def _identified(request: IdentifyRequest) -> Identification | SeveralIdentifications:
     """From one record, from several each, or from several together where they go one way each."""
-    from emps_design.identification.identify import identify
-    from emps_design.identification.several import identify_several, identify_together
-
     records, axis = request.records, request.axis
     if len(records) == 1:
         return identify(records[0], axis, request.how)

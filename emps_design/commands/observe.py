@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emps_design import identification
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import TABLE
@@ -18,9 +18,6 @@ from emps_design.inputs import axis_option, read_record
 from emps_design.progress import no_progress
 from emps_design.records import Record
 from emps_design.request import Request, option
-
-if TYPE_CHECKING:
-    from emps_design.identification.observation import Observation
 
 LONG = 200_000  # samples from which on progress is worth a bar, and of which that many are written at once
 
@@ -57,13 +54,11 @@ class ObserveRequest(Request):
 
 def answer(request: ObserveRequest) -> Reply:
     """The external force by every method, its errors against a known one, and the smallest force that shows."""
-    from emps_design.identification.observation import observe, with_known_push
-
     record, axis = request.record, request.axis
     if request.injected is not None:
         voltage = _voltage(request.injected, record)
-        record = with_known_push(record, voltage, axis.supplied_by(record).drive.gain)
-    observation = observe(
+        record = identification.with_known_push(record, voltage, axis.supplied_by(record).drive.gain)
+    observation = identification.observe(
         record,
         axis,
         cutoff_hz=request.cutoff,
@@ -92,7 +87,7 @@ def _voltage(injected: str, record: Record) -> np.ndarray:
     return volts * column
 
 
-def _write(out: Path, observation: Observation) -> None:
+def _write(out: Path, observation: identification.Observation) -> None:
     """Write time and observed forces as a table."""
     unit = observation.units.unit("N")
     names = ["t [s]", *(f"{name} [{unit}]" for name in observation.methods)]
