@@ -24,7 +24,7 @@ import scipy
 
 from emps_design.errors import RecordError
 from emps_design.records import Record
-from emps_design.records.record import quantisation_step
+from emps_design.records.record import step_before_rounding
 from emps_design.stretches import stretches
 
 HARMONICS = 64  # of the sawtooth
@@ -248,7 +248,7 @@ class Signals:
     @cached_property
     def step(self) -> float:
         """The step of the encoder [m] that the increments show; 0 for none."""
-        return quantisation_step(self.dq)
+        return step_before_rounding(self.dq)
 
     @property
     def used(self) -> np.ndarray:

@@ -30,6 +30,13 @@ MOST = 0.01  # share of the increments that may be further off
 CANDIDATE_STEPS = 24  # distances between increments that are tried as the step
 MOST_INCREMENTS = 1 << 16  # increments
 
+MOST_DIGITS = 1 << 18  # largest increment that is looked at
+FEWEST_STEPS = 6  # over which increments have to spread
+FINEST = 2.5  # units of the last digit: finer steps are lost in the rounding
+FINER_LINES = 4  # times as many lines as the increments need, so that no peak falls between two
+AS_ROUNDED = 0.9  # of the sum over increments that rounding leaves, from which on they are steps
+BY_CHANCE = 1e-4  # probability of such a sum over increments without a step
+
 
 @dataclass(frozen=True)
 class Record(Viewed):
@@ -123,7 +130,7 @@ class Record(Viewed):
         """
         if self.assigned and all(assignment.name != "q" for assignment in self.assigned):
             return None
-        return quantisation_step(np.diff(self.q if self.measured is None else self.measured["q"])) or None
+        return step_before_rounding(np.diff(self.q if self.measured is None else self.measured["q"])) or None
 
     @property
     def in_gap(self) -> np.ndarray:
@@ -317,3 +324,43 @@ def quantisation_step(increments: np.ndarray) -> float:
         if np.mean(whole != 0.0) > MOST > np.mean(np.abs(away / step - whole) > WHOLE_STEPS):
             return abs(step)
     return 0.0
+
+
+def step_before_rounding(increments: np.ndarray) -> float:
+    """The step of a signal with ``increments`` (n,), in its unit, before a file rounded it to few digits; 0 for none.
+
+    An increment of k steps s is recorded as one of the two multiples n of the last digit d that are next to k s/d.
+    Where k takes many values, n - k s/d is spread evenly over -1 to 1, so the mean of exp(2 pi i n d/s) over the
+    different n has the modulus sinc(2 d/s). Without such a step they are all whole numbers, and it is near 0.
+
+    >>> steps = np.random.default_rng(0).integers(-40, 40, 200)
+    >>> round(step_before_rounding(np.diff(np.round(8.8e-5 * np.cumsum(steps), 5))) * 1e5, 1)
+    8.8
+    """
+    from scipy.fft import next_fast_len, rfft
+
+    digit = quantisation_step(increments)
+    if not digit:
+        return 0.0
+    n = np.unique(np.rint(increments / digit))
+    n = n[(n != 0.0) & (np.abs(n) < MOST_DIGITS)].astype(int)
+    if n.size <= FEWEST_STEPS:
+        return digit
+    span = int(n[-1] - n[0])
+    size = next_fast_len(FINER_LINES * (span + 1), real=True)
+    mean = np.abs(rfft(np.bincount(n - n[0], minlength=size).astype(float))) / n.size
+    line = np.arange(mean.size) / size  # d/s
+    steps = (line > FEWEST_STEPS / span) & (line < 1.0 / FINEST) & (mean > AS_ROUNDED * np.sinc(2.0 * line))
+    steps &= n.size * mean**2 > np.log(mean.size / BY_CHANCE)
+    if not np.any(steps):
+        return digit
+    at = int(np.argmax(steps))
+    while mean[at + 1] > mean[at]:
+        at += 1
+    before, peak, after = np.log(mean[at - 1 : at + 2])
+    step = size / (at + 0.5 * (before - after) / (before - 2.0 * peak + after))
+    for _ in range(2):
+        whole = np.rint(n / step)
+        step = float(whole @ n / (whole @ whole))
+    beside = np.mean(np.abs(n - whole * step) > 1.0 + WHOLE_STEPS)
+    return digit * step if beside < 1.0 - AS_ROUNDED and np.unique(whole).size > FEWEST_STEPS else digit

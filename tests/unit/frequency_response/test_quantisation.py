@@ -6,7 +6,7 @@ import pytest
 from emps_design.frequency_response import estimate_response
 from emps_design.frequency_response.response import BAND
 from emps_design.frequency_response.signals import quantised, repeated_share
-from emps_design.records.record import quantisation_step
+from emps_design.records.record import quantisation_step, step_before_rounding
 from tests.unit.frequency_response.cases import exact, experiment, multi_sine, two_mass
 
 SAMPLES, PERIODS = 1000, 4
@@ -36,6 +36,21 @@ def test_no_step_where_there_is_none():
     assert quantisation_step(np.zeros(100)) == 0.0
     noise = 1e-5 * rng.standard_normal(5000)
     assert quantisation_step(np.diff(np.sin(np.arange(5000) / 1000) + noise)) == 0.0
+
+
+@pytest.mark.parametrize("ratio", [3.3, 8.797, 31.416])
+def test_the_step_is_the_encoders_and_not_that_of_the_digits_of_a_file(ratio):
+    """Of steps that are no multiple of the last digit, the digits alone are a step of all increments."""
+    step = ratio * 1e-5
+    for seed in range(5):
+        rng = np.random.default_rng([31, seed])
+        q = step * np.rint(motion(9000.3, 40.0, rng) + rng.uniform())
+        assert step_before_rounding(np.diff(q.round(5))) == pytest.approx(step, rel=5e-3)
+        # Without an encoder behind them the digits are the step.
+        smooth = step * motion(9000.3, 40.0, rng)
+        assert step_before_rounding(np.diff(smooth.round(5))) == pytest.approx(1e-5, rel=1e-6)
+        assert step_before_rounding(np.diff(q)) == pytest.approx(step, rel=1e-6)
+        assert step_before_rounding(np.diff(smooth)) == 0.0
 
 
 @pytest.mark.parametrize(("advance", "least", "most"), [(10_000.0, 3.0, 4.6), (9618.4, 0.2, 1.0), (9000.5, 0.7, 1.7)])
