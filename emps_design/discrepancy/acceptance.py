@@ -18,14 +18,9 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.fit import Fit, refitted
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Floor, usual_rms
-from emps_design.discrepancy.parallel import CORES, side_by_side
+from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.problem import Hypothesis
-from emps_design.discrepancy.records import START_UP
 from emps_design.discrepancy.starts import Start
-
-RESAMPLES = 199
-TOGETHER = 50  # resamples projected at a time: the signatures are many megabytes to read
-BLOCK = 250  # samples of a block of noise: keeps the correlation that whitening left
 
 Accept = Callable[[Fit, Fit], bool]  # whether the first fit, with one effect more, is a finding over the second
 
@@ -59,13 +54,14 @@ class Healthy:
 def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int) -> Healthy:
     """Project resampled noise, circular blocks of ``draws`` (m,), onto the signatures of ``screened``."""
     if not screened:  # no candidate, so no gain by chance
-        return Healthy(np.zeros(RESAMPLES))
+        return Healthy(np.zeros(rules.RESAMPLES))
     generator = np.random.default_rng(seed)
     signatures = [start.signature for starts in screened for start in starts]  # free of what is absorbed
-    halves = [(np.array(signatures[place::CORES]),) for place in range(min(CORES, len(signatures)))]
-    largest, n = np.empty(RESAMPLES), signatures[0].size
-    for start in range(0, RESAMPLES, TOGETHER):
-        some = range(start, min(start + TOGETHER, RESAMPLES))
+    halves = [(np.array(signatures[place :: rules.CORES]),) for place in range(min(rules.CORES, len(signatures)))]
+    largest, n = np.empty(rules.RESAMPLES), signatures[0].size
+    together = len(signatures)  # which takes no more memory than they do
+    for start in range(0, rules.RESAMPLES, together):
+        some = range(start, min(start + together, rules.RESAMPLES))
         drawn = [(draws, n, *blocks(draws.size, n, generator)) for _ in some]
         noise = np.array(side_by_side(resampled, drawn))
         gains = side_by_side(lambda half, noise=noise: np.max((noise @ half.T) ** 2, axis=1), halves)
@@ -75,13 +71,13 @@ def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int)
 
 def blocks(m: int, n: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """First sample of each block for ``n`` samples out of ``m``, and a random sign of each, (n_blocks,) both."""
-    count = -(-n // BLOCK)
+    count = -(-n // rules.PIECE)
     return generator.integers(0, m, count), generator.choice((-1.0, 1.0), count)
 
 
 def resampled(draws: np.ndarray, n: int, begins: np.ndarray, signs: np.ndarray) -> np.ndarray:
     """``n`` innovations: the circular blocks of ``draws`` (m,) that :func:`blocks` drew."""
-    rings = sliding_window_view(np.concatenate((draws, draws[:BLOCK])), BLOCK)
+    rings = sliding_window_view(np.concatenate((draws, draws[: rules.PIECE])), rules.PIECE)
     return (rings[begins] * signs[:, None]).ravel()[:n]
 
 
@@ -100,7 +96,7 @@ class Judge:
             worse.cost_fit - better.cost_fit > self.healthy.threshold
             and gained > worth * _cost(worse, "used", burst)
             and _gain_repeats(better, worse, burst)
-            and share_of_strokes(better, worse, burst) >= rules.STROKES
+            and share_of_strokes(better, worse, burst) >= rules.MOST
             and self._faint(better.model) is None
         )
 
@@ -140,13 +136,13 @@ class Judge:
     def _demands(self, worse: Fit) -> tuple[float, float]:
         """Deviations at which a sample's cost is capped, and the share of the cost that a finding must gain."""
         if self.at_floor(worse):
-            return rules.BURST_AT_FLOOR, rules.WORTH_AT_FLOOR
+            return rules.UNUSUAL, rules.WORTH_AT_FLOOR
         return rules.BURST, rules.WORTH
 
     def _faint(self, model: Candidate) -> int | None:
         """Index of the first effect with a force far below the noise, or a negligible dimensionless amplitude."""
         for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
-            least = {"N": rules.AUDIBLE * self.floor.force, "": rules.LEAST_AMPLITUDE}
+            least = {"N": rules.SOME * self.floor.force, "": rules.SLIGHT}
             sizes: dict[str, list[float]] = {unit: [] for unit in least}
             for place, parameter in enumerate(effect.parameters):
                 if parameter.linear and parameter.unit in sizes:
@@ -175,7 +171,7 @@ def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
     for change, split in zip(_changes(better, worse, burst), better.problem.splits, strict=True):
         for start, stop in split.strokes:
             selected = split.select[start:stop]
-            if selected.sum() > START_UP:
+            if selected.sum() > rules.START_UP:
                 gain = float(change[start:stop][selected].sum())
                 gains += max(gain, 0.0)
                 losses += max(-gain - rules.CHANCE * np.sqrt(2.0 * selected.sum()), 0.0)
@@ -235,7 +231,7 @@ def _gain_repeats(better: Fit, worse: Fit, burst: float) -> bool:
         fitted = change[split.fit] if split.fit.any() else overall
         expected += float(fitted.mean()) * int(split.select.sum())
     beyond_chance = gained > rules.CHANCE * np.sqrt(2.0 * n)
-    return gained > rules.SEEN_AGAIN * (min(expected, moved) if beyond_chance else expected)
+    return gained > rules.SOME * (min(expected, moved) if beyond_chance else expected)
 
 
 def _remaining_force(fitted: Fit) -> list[np.ndarray]:

@@ -25,10 +25,8 @@ from emps_design.discrepancy.balance import (
 from emps_design.discrepancy.experiment import NextExperiment, varies
 from emps_design.discrepancy.explanation import with_marks
 from emps_design.discrepancy.gap import Gap, Prediction
-from emps_design.discrepancy.least_squares import LEAST_MASS
 from emps_design.discrepancy.noise_floor import Floor, Whitening, rms_interval
 from emps_design.discrepancy.preparation import (
-    SLOWEST_PERIOD,
     Confirming,
     Interval,
     between,
@@ -65,8 +63,6 @@ BALANCED = (
     "{forces} are balanced along the measured motion and nothing is simulated: of the effects only those are looked "
     "for that the motion of a moment tells, {looked_for}"
 )
-MOST_LEFT = 0.1  # of the force: a residual below that, not repeatable with the motion, may be noise alone
-BESIDE = 0.75  # samples of delay between command and motion from which a warning says so; resolution half a sample
 
 
 @dataclass(frozen=True)
@@ -96,8 +92,8 @@ class BalanceResult:
 
     @property
     def lacks(self) -> bool:
-        """Whether the residual is unexplained: it repeats with the motion, or is large."""
-        return self.unexplained.structure > LITTLE or self.unexplained.share > MOST_LEFT
+        """Whether the residual is unexplained: it repeats with the motion, or is too large for noise."""
+        return self.unexplained.structure > LITTLE or self.unexplained.share > rules.MINOR
 
     @property
     def off(self) -> list[int]:
@@ -257,7 +253,7 @@ def _axis(outcome: BalanceResult, axis: Axis) -> Axis:
     axis_numbers, own = axis.mechanics.array(), outcome.extended.model.baseline(_whole(outcome.extended))
     determined = [quantity.name in outcome.extended.determined for quantity in BASELINE]
     numbers = [float(new if known else old) for new, old, known in zip(own, axis_numbers, determined, strict=True)]
-    numbers[0] = max(numbers[0], LEAST_MASS * float(axis_numbers[0]))
+    numbers[0] = max(numbers[0], rules.LEAST_MASS * float(axis_numbers[0]))
     effects = identified_effects(outcome.extended.model, outcome.extended.parameters) if outcome.named else []
     return axis.replace(mechanics=Mechanics.table(numbers), effects=effects)
 
@@ -325,7 +321,7 @@ def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, An
 def _warnings(outcome: BalanceResult) -> list[Message]:
     fitted, late = outcome.extended, outcome.balance.clock.samples
     remarks = [*outcome.warnings]
-    if abs(late) > BESIDE:
+    if abs(late) > rules.HALF:
         text = (
             f"the command was logged {abs(late):.2g} samples {'after' if late > 0 else 'before'} what the motion "
             "answers to, and is moved by that: less than two samples tell a drive that is late from none of the log's"
@@ -336,7 +332,7 @@ def _warnings(outcome: BalanceResult) -> list[Message]:
         text = f"{', '.join(fitted.held)}: held at nothing, for the record asks for less, which no axis has"
         remarks.append(warning("held-at-nothing", text, parameters=fitted.held))
     unexplained = outcome.unexplained
-    if unexplained.share > MOST_LEFT and unexplained.structure <= LITTLE:
+    if unexplained.share > rules.MINOR and unexplained.structure <= LITTLE:
         text = (
             f"{100 * unexplained.share:.2g} % of the {outcome.balance.axis.units.word('force')} is left and does not "
             "come again with the motion: noise of the command, or something that remembers what was before"
@@ -347,7 +343,7 @@ def _warnings(outcome: BalanceResult) -> list[Message]:
 
 def too_slow(records: Sequence[Record]) -> bool:
     """Whether a record is sampled too slowly for a simulation of its loop to be compared with it."""
-    return any(record.period > SLOWEST_PERIOD for record in records)
+    return any(record.period > rules.SLOWEST_PERIOD for record in records)
 
 
 def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:

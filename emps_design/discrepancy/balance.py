@@ -43,15 +43,7 @@ from emps_design.observer import with_acting_command
 from emps_design.quantities import inside
 from emps_design.records import Record
 
-FARTHEST = 2  # samples
-STEP = 0.1  # samples
-NEAR = 2  # steps to either side, between which the squares of the residual follow a parabola
-UNKNOWN = 0.5  # samples, by which sampled values and means differ: deviation of a shift that is not determined
-BEND = int(np.argmin(np.abs(np.subtract(POWERS, 0.5))))  # index of the exponent that stands for all bent friction
-SURE = 3.0  # standard deviations from zero of a significant shift
-
 SYMMETRIC = "symmetric"
-NORMAL = 1.96  # deviations to either side that are an interval of 95 %
 
 
 class CommandLag(NamedTuple):
@@ -68,7 +60,7 @@ def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> C
     """Delay of the command of ``record`` against its motion.
 
     The delay minimises the residual below ``cutoff`` [Hz] of a model of mass, ``friction``, the terms possible on
-    ``axis`` and a bent friction. It is 0 where the minimum lies :data:`FARTHEST` samples off or is not significant.
+    ``axis`` and a bent friction. It is 0 where the minimum lies ``rules.CLOCK_RANGE`` off or is not significant.
 
     >>> t = np.arange(4000) * 0.01
     >>> q = np.sin(t) + 0.3 * np.sin(2.7 * t)
@@ -80,25 +72,27 @@ def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> C
     1.5
     """
     terms = [term for term in TERMS if axis.units.motion in TERMS[term].motions and term != BENT]
-    whole = range(-FARTHEST - 1, FARTHEST + 2)
+    farthest, step = rules.CLOCK_RANGE, rules.CLOCK_STEP
+    whole = range(-farthest - 1, farthest + 2)
     strokes = [Strokes(filter_record(moved(record, shift), axis, "hold", cutoff), friction) for shift in whole]
     if strokes[0].count < FEWEST_STROKES:
-        return CommandLag(0.0, UNKNOWN)
+        return CommandLag(0.0, rules.HALF)
     # Filter and regression are linear, so residuals between two shifts are interpolated as the command is.
-    residuals = np.array([shifted.residual(terms, [shifted.bent[:, BEND]]) for shifted in strokes])
-    shifts = np.round(STEP * np.arange(-round(FARTHEST / STEP), round(FARTHEST / STEP) + 1), 6)
-    places = np.minimum(np.floor(shifts).astype(int), FARTHEST - 1)
-    parts = [residuals[place + FARTHEST : place + FARTHEST + 4] for place in places]
+    root = int(np.argmin(np.abs(np.subtract(POWERS, 0.5))))  # stands for all bent friction
+    residuals = np.array([shifted.residual(terms, [shifted.bent[:, root]]) for shifted in strokes])
+    shifts = np.round(step * np.arange(-round(farthest / step), round(farthest / step) + 1), 6)
+    places = np.minimum(np.floor(shifts).astype(int), farthest - 1)
+    parts = [residuals[place + farthest : place + farthest + 4] for place in places]
     errors = np.array([between(shift - n) @ part for shift, n, part in zip(shifts, places, parts, strict=True)]) ** 2
     total, best = errors.sum(axis=1), int(np.argmin(errors.sum(axis=1)))
     noise = float(total[best]) / errors.shape[1]  # the rows are as far apart as the filter resolves
-    around = [best - NEAR, best, best + NEAR]
+    around = [best - 2, best, best + 2]  # between which the squares follow a parabola
     if around[0] < 0 or around[2] >= len(shifts):
-        return CommandLag(0.0, UNKNOWN)
-    curvature = float(np.array([1.0, -2.0, 1.0]) @ total[around]) / (2.0 * (NEAR * STEP) ** 2)
-    std = float(np.clip(np.sqrt(noise / max(curvature, 1e-300)), 0.5 * STEP, UNKNOWN))
-    significant = total[len(shifts) // 2] - total[best] > SURE**2 * noise
-    return CommandLag(float(shifts[best]) if significant else 0.0, std if significant else UNKNOWN)
+        return CommandLag(0.0, rules.HALF)
+    curvature = float(np.array([1.0, -2.0, 1.0]) @ total[around]) / (2.0 * (2.0 * step) ** 2)
+    std = float(np.clip(np.sqrt(noise / max(curvature, 1e-300)), 0.5 * step, rules.HALF))
+    significant = total[len(shifts) // 2] - total[best] > rules.SURE**2 * noise
+    return CommandLag(float(shifts[best]) if significant else 0.0, std if significant else rules.HALF)
 
 
 def moved(record: Record, samples: float) -> Record:
@@ -187,7 +181,7 @@ class Fitted:
         if ends is None:
             return 0.0
         half = max(ends[1], 0.0) if name in self.held else 0.5 * (ends[1] - ends[0])
-        return float(np.hypot(half / NORMAL, self.moves[name]))
+        return float(np.hypot(half / rules.NORMAL, self.moves[name]))
 
 
 @dataclass(frozen=True)
@@ -371,7 +365,7 @@ def share_asked(strokes: Strokes, whole: np.ndarray, without: np.ndarray) -> dic
     """
     adds = without - whole
     wanted, size = strokes.by_stroke(adds * without), strokes.by_stroke(adds**2)
-    if size.sum() < rules.EXERCISED**2 * float(np.sum(whole**2)):
+    if size.sum() < rules.SLIGHT**2 * float(np.sum(whole**2)):
         return None
     share = float(wanted.sum() / size.sum())
     return {"share": share, "std": float(np.linalg.norm(wanted - share * size) / size.sum())}

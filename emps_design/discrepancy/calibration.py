@@ -13,7 +13,7 @@ baseline with resampled noise on its voltage, and searches each of these records
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -37,11 +37,6 @@ from emps_design.errors import SimulationError
 from emps_design.messages import Message, warning
 from emps_design.progress import Progress
 from emps_design.simulation import Plant
-
-RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on held-out strokes
-MOST_SAMPLES, MOST_STROKES = 60_000, 100  # of whole strokes, evenly thinned where there are more
-
-BASELINE_STEPS = 20  # of the baseline's fit, which starts from the axis file
 
 FitsBySet = dict[frozenset[str], Fit]
 
@@ -79,7 +74,7 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
 def _evenly(strokes: list[slice]) -> list[slice]:
     """``strokes`` thinned evenly, so that the regression of a long record stays small."""
     samples = sum(stroke.stop - stroke.start for stroke in strokes)
-    return strokes[:: max(1, -(-samples // MOST_SAMPLES), -(-len(strokes) // MOST_STROKES))]
+    return strokes[:: max(1, -(-samples // rules.MOST_REGRESSED), -(-len(strokes) // rules.MOST_STROKES))]
 
 
 def _unpredicted_by_others(
@@ -125,14 +120,14 @@ class _Regression:
         self.power = float(force @ force)
 
     def best(self, columns: np.ndarray) -> _Predictor:
-        """``columns`` with the best of ``RIDGES``."""
+        """``columns`` with the best of ``rules.RIDGES``."""
         own, along = self.squares[:, columns[:, None], columns], self.products[:, columns]
         costs = []
-        for ridge in RIDGES:
+        for ridge in rules.RIDGES:
             x = self._coefficients(own, along, ridge)
             costs.append(self.power + float(np.einsum("si,sij,sj", x, own, x) - 2.0 * np.sum(x * along)))
         least = int(np.argmin(costs))
-        return _Predictor(columns, RIDGES[least], costs[least])
+        return _Predictor(columns, rules.RIDGES[least], costs[least])
 
     def residual(self, predictor: _Predictor) -> np.ndarray:
         """Force (n,) [N] that ``predictor`` does not predict."""
@@ -191,88 +186,90 @@ def _healthy_records(baseline: Fit, floor: Floor, generator: np.random.Generator
     return Hypothesis(replace(baseline.problem, records=tuple(records)), baseline.model)
 
 
+def set_of(fitted: Fit) -> frozenset[str]:
+    """The effects of ``fitted``, whatever their order."""
+    return frozenset(fitted.model.names)
+
+
+def remembered(tried: FitsBySet, fits: Iterable[Fit]) -> FitsBySet:
+    """``tried`` and ``fits``, the best fit of each set of effects."""
+    best = dict(tried)
+    for fitted in fits:
+        key = set_of(fitted)
+        if key not in best or fitted.cost < best[key].cost:
+            best[key] = fitted
+    return best
+
+
 @dataclass(frozen=True)
-class Calibration:
-    """The baseline fitted under the noise of ``floor``, the starts on top of it, and what healthy records gain."""
+class Outcome:
+    """A search for effects, from its baseline to what it has found: what every later stage is given.
+
+    It is judged under the noise of ``floor`` and by what ``healthy`` records gain; ``screened`` are the starts on top
+    of the baseline. ``path`` are the best models one after the other, the baseline first; ``tried`` are the best
+    admissible fits by their sets of effects; ``gains`` [whitened cost] are those of each effect alone in the first
+    round. ``most`` effects are added; ``beam`` are the sets to extend, ``closed`` the moves that lead nowhere from the
+    best model, and ``detours`` the number taken. ``interrupted``: by the user, before the search had ended;
+    ``warnings`` are those of this search and of the searches it replaced; ``of_a_kind`` is an unknown force that
+    explains what a few effects leave, or None.
+    """
 
     preparation: Preparation
-    baseline: Fit
     floor: Floor
     healthy: Healthy
-    screened: list[list[Start]]
+    screened: list[list[Start]] = field(repr=False)
+    path: tuple[Fit, ...]
+    tried: FitsBySet = field(repr=False)
+    gains: dict[str, float] = field(default_factory=dict, repr=False)
+    most: int = 0
+    beam: tuple[Fit, ...] = ()
+    closed: frozenset[str] = frozenset()
+    detours: int = 0
+    interrupted: bool = False
     warnings: tuple[Message, ...] = ()
+    of_a_kind: OfAKind | None = None
+
+    @property
+    def baseline(self) -> Fit:
+        """The model that the search began with."""
+        return self.path[0]
+
+    @property
+    def best(self) -> Fit:
+        """The model accepted last."""
+        return self.path[-1]
 
     @property
     def judge(self) -> Judge:
         """The judge of findings under this noise and healthy reference."""
         return Judge(self.floor, self.healthy)
 
+    def accepts(self, better: Fit) -> bool:
+        """Whether ``better``, with one effect more, is a finding over the best model."""
+        return self.judge.accepts(better, self.best)
 
-def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
-    """Fit the baseline by plain least squares, and read the noise from its residual: by laps, or by other strokes."""
-    # Kernels are compiled here: simulations run side by side from now on, and must not compile the same one twice.
-    effects = [(effect, np.zeros(len(effect.parameters))) for effect in preparation.library]
-    Plant(preparation.start.problem.axis, effects)
-    rough = fit(preparation.start, steps=BASELINE_STEPS)
-    floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
-    if floor is None:
-        residuals = unpredicted(rough, preparation.library)
-        floor = floor_of_residual(residuals, rough.problem.period, STROKES)
-    return rough, floor
-
-
-def calibrate(
-    preparation: Preparation, start: Hypothesis, floor: Floor, seed: int, runs: int, progress: Progress
-) -> Calibration:
-    """Fit the baseline from ``start`` under the noise of ``floor``, and compute the healthy reference.
-
-    The reference is simulated on ``runs`` healthy records; with 0 it is linearised: resampled noise on signatures.
-    """
-    progress("healthy reference", 0.0)
-    weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
-    baseline = fit(weighed, steps=BASELINE_STEPS)
-    warnings: tuple[Message, ...] = ()
-    absorbed = tangent(baseline)
-    screened = screen(baseline, preparation.library, absorbed)
-    progress(f"healthy reference{suspects_text(by_signature(screened, absorbed))}", 0.05)
-    healthy = healthy_reference(screened, floor.draws, seed)
-    if runs:
-        try:
-            report = partial(progress, "healthy records, each searched")
-            healthy = healthy_runs(baseline, preparation.library, floor, runs, seed, report)
-        except KeyboardInterrupt:
-            text = "interrupted: calibrated on resampled noise, not on healthy records searched"
-            warnings = (warning("calibration-interrupted", text),)
-    return Calibration(preparation, baseline, floor, healthy, screened, warnings)
-
-
-def set_of(fitted: Fit) -> frozenset[str]:
-    """The effects of ``fitted``, whatever their order."""
-    return frozenset(fitted.model.names)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The ``path`` of best models, baseline first, found under a ``calibration``.
-
-    ``tried`` are all admissible models fitted in full, by their sets of effects; ``alone`` is the gain of each effect
-    alone in the first round [whitened cost]; ``interrupted``: by the user, before the search had ended; ``warnings``
-    are those of this search and of the searches it replaced; ``of_a_kind`` is an unknown force that explains what a
-    few effects leave, or None.
-    """
-
-    calibration: Calibration
-    path: tuple[Fit, ...]
-    tried: FitsBySet = field(repr=False)
-    alone: dict[str, float] = field(default_factory=dict, repr=False)
-    interrupted: bool = False
-    warnings: tuple[Message, ...] = ()
-    of_a_kind: OfAKind | None = None
+    def count_of(self, fitted: Fit) -> int:
+        """Number of effects of ``fitted``, without those known from the controller's law."""
+        return len(fitted.model.effects) - len(self.baseline.model.effects)
 
     @property
-    def best(self) -> Fit:
-        """The model accepted last."""
-        return self.path[-1]
+    def count(self) -> int:
+        """Number of effects found."""
+        return self.count_of(self.best)
+
+    @property
+    def alone(self) -> dict[str, float]:
+        """The gain of each effect alone [whitened cost], to first order where no round began at the baseline."""
+        return self.gains or {starts[0].model.names[-1]: starts[0].gain for starts in self.screened}
+
+    def knowing(self, fits: Iterable[Fit], gains: dict[str, float] | None = None) -> Outcome:
+        """The same search with ``fits`` among those tried, and the ``gains`` of its first round."""
+        return replace(self, tried=remembered(self.tried, fits), gains=self.gains or gains or {})
+
+    def further(self, beam: Sequence[Fit], detour: bool = False, closed: frozenset[str] = frozenset()) -> Outcome:
+        """The search at the first of ``beam``; the moves ``closed`` lead nowhere from there."""
+        path, detours = (*self.path, beam[0]), self.detours + detour
+        return replace(self, path=path, beam=tuple(beam), closed=closed, detours=detours)
 
     @property
     def ended_early(self) -> bool:
@@ -289,13 +286,13 @@ class Outcome:
 class OfAKind:
     """An unknown force of one ``kind`` of ``unknown_force.KINDS``.
 
-    ``outcome`` is that of a search beside it, and ``fitted`` its best model, maybe without effects, fitted to all used
-    samples with the force in the loop: both leave next to nothing of what the model ``start`` leaves.
+    ``search`` is one beside it, and ``fitted`` its best model, maybe without effects, fitted to all used samples with
+    the force in the loop: both leave next to nothing of what the model ``start`` leaves.
     """
 
     kind: Kind
     start: Fit
-    outcome: Outcome
+    search: Outcome
     fitted: Fit
 
     @property
@@ -304,5 +301,44 @@ class OfAKind:
 
         Many effects and a force may as well be effects only.
         """
-        few = len(self.fitted.model.effects) - len(self.outcome.path[0].model.effects) <= rules.FEW_BESIDE
+        few = self.search.count_of(self.fitted) <= rules.FEW
         return few and self.start.excess() >= rules.PLAIN * self.start.problem.samples("used")
+
+
+def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
+    """Fit the baseline by plain least squares, and read the noise from its residual: by laps, or by other strokes."""
+    # Kernels are compiled here: simulations run side by side from now on, and must not compile the same one twice.
+    effects = [(effect, np.zeros(len(effect.parameters))) for effect in preparation.library]
+    Plant(preparation.start.problem.axis, effects)
+    rough = fit(preparation.start)
+    floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
+    if floor is None:
+        residuals = unpredicted(rough, preparation.library)
+        floor = floor_of_residual(residuals, rough.problem.period, STROKES)
+    return rough, floor
+
+
+def calibrate(
+    preparation: Preparation, start: Hypothesis, floor: Floor, seed: int, runs: int, progress: Progress
+) -> Outcome:
+    """The search that begins with a baseline fitted from ``start`` under the noise of ``floor``.
+
+    Its healthy reference is simulated on ``runs`` records; with 0 it is linearised: resampled noise on signatures.
+    """
+    progress("healthy reference", 0.0)
+    weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
+    baseline = fit(weighed)
+    warnings: tuple[Message, ...] = ()
+    absorbed = tangent(baseline)
+    screened = screen(baseline, preparation.library, absorbed)
+    progress(f"healthy reference{suspects_text(by_signature(screened, absorbed))}", 0.05)
+    healthy = healthy_reference(screened, floor.draws, seed)
+    if runs:
+        try:
+            report = partial(progress, "healthy records, each searched")
+            healthy = healthy_runs(baseline, preparation.library, floor, runs, seed, report)
+        except KeyboardInterrupt:
+            text = "interrupted: calibrated on resampled noise, not on healthy records searched"
+            warnings = (warning("calibration-interrupted", text),)
+    tried = remembered({}, [baseline])
+    return Outcome(preparation, floor, healthy, screened, (baseline,), tried, warnings=warnings)

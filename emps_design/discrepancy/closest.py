@@ -24,10 +24,6 @@ from emps_design.discrepancy.words import label_of
 from emps_design.effects import Effect
 from emps_design.quantities import inside, rounded
 
-MOST_ADDED = 12
-TRIED = 2  # effects fitted in each round: those that gain most to first order
-STEPS = 4  # of each of these fits
-
 FILE = "closest_model.toml"
 UNNEEDED = "what the model leaves is noise: nothing could follow the records more closely"
 
@@ -38,9 +34,11 @@ def describe(current: Fit, library: tuple[Effect, ...]) -> Fit:
     Only curves over position and velocity, and memories of the path since a reversal.
     """
     describing = tuple(effect for effect in library if _describes(effect))
-    for _ in range(MOST_ADDED):
-        promising = sorted(screen(current, describing, tangent(current)), key=lambda starts: -starts[0].gain)[:TRIED]
-        fits = side_by_side(fit, [(starts[0].hypothesis, "fit", None, STEPS) for starts in promising])
+    for _ in describing:
+        promising = sorted(screen(current, describing, tangent(current)), key=lambda starts: -starts[0].gain)[
+            : rules.FEW
+        ]
+        fits = side_by_side(fit, [(starts[0].hypothesis, "fit", None, rules.SHORT_STEPS) for starts in promising])
         closer = [fitted for fitted in fits if _closer(fitted, current)]
         if not closer:
             break
@@ -90,11 +88,11 @@ class Closest:
 def closest_of(validation: Validation) -> Closest:
     """The model that follows most closely, where it leaves less of the judging data than the named model."""
     outcome, named = validation.outcome, validation.extended
-    judge = outcome.calibration.judge
+    judge = outcome.judge
     if not judge.leaves_structure(named):
         return Closest(UNNEEDED)
-    problem, data = named.problem, outcome.calibration.preparation.held_out
-    model = describe(outcome.best, outcome.calibration.preparation.library).model
+    problem, data = named.problem, outcome.preparation.held_out
+    model = describe(outcome.best, outcome.preparation.library).model
     baseline = validation.baseline.model
     train = compare(problem, baseline, model)
     held_out = None

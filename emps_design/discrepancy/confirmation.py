@@ -20,7 +20,7 @@ import numpy as np
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import Judge
 from emps_design.discrepancy.calibration import Outcome, set_of
-from emps_design.discrepancy.fit import STEP, Fit, admissible, bounds_met, evaluate, fit
+from emps_design.discrepancy.fit import Fit, admissible, bounds_met, evaluate, fit
 from emps_design.discrepancy.gap import adapt
 from emps_design.discrepancy.least_squares import Candidate, descend
 from emps_design.discrepancy.noise_floor import LEFT, floor_of_residual
@@ -144,7 +144,7 @@ def effect_shares(hypothesis: Hypothesis) -> tuple[Share, ...]:
     for i, (change, other) in enumerate(zip(columns[: len(again)], again, strict=True)):
         here, there = _gathered(problem, change), _gathered(problem, other)
         repeats = min(1.0, float(here @ there) / max(float(there @ there), 1e-30))
-        exercised = float(np.linalg.norm(here)) > rules.EXERCISED * np.sqrt(here.size)
+        exercised = float(np.linalg.norm(here)) > rules.SLIGHT * np.sqrt(here.size)
         weighed = tuple(rows[i] for rows in shares[1:])
         by_effect.append(
             Share(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=bool(model.effects[i].play))
@@ -209,7 +209,7 @@ def _beside_baseline(hypothesis: Hypothesis) -> list[Hypothesis]:
     """The model with a small step of each free baseline number, one after the other."""
     model = hypothesis.model
     slots = tuple(slot for slot in model.slots() if slot.effect < 0)
-    steps = np.diag([STEP * slot.magnitude for slot in slots])
+    steps = np.diag([rules.STEP * slot.magnitude for slot in slots])
     return [hypothesis.with_model(model.with_vector(slots, moved)) for moved in model.vector(slots) + steps]
 
 
@@ -251,7 +251,7 @@ def _loss(problem: Problem, model: Candidate) -> np.ndarray:
 
 def equivalents(outcome: Outcome) -> dict[str, list[str]]:
     """For each accepted effect, the effects that explain these records as well in its place, best first."""
-    best, judge = outcome.best, outcome.calibration.judge
+    best, judge = outcome.best, outcome.judge
     threshold, by_effect = judge.healthy.threshold, {}
     for name in best.model.names:
         others = set_of(best) - {name}
@@ -290,7 +290,7 @@ def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
         without, *rivals = side_by_side(
             fit, [(Hypothesis(weighed, model), "used", None, RIVAL_STEPS) for model in begins]
         )
-        margin = max(outcome.calibration.healthy.threshold, rules.EQUIVALENT * (without.cost - own.cost))
+        margin = max(outcome.healthy.threshold, rules.EQUIVALENT * (without.cost - own.cost))
         alike = [rival for rival in rivals if admissible(rival) and rival.cost <= own.cost + margin]
         by_effect[effect.name] = [rival.model.names[-1] for rival in sorted(alike, key=lambda rival: rival.cost)]
     return by_effect

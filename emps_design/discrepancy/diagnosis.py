@@ -25,12 +25,6 @@ from emps_design.progress import Progress, of_part
 from emps_design.records import Record
 from emps_design.request import takes
 
-SEARCHES = (
-    (0.0, 0.6),
-    (0.6, 0.25),
-    (0.85, 0.15),
-)  # start and share of the progress; the noise is estimated again in between
-CONFIRMATION = (1.0, 0.05)  # the same for finishing a search that ended early
 NOT_REPEATED = warning(
     "repeat-interrupted", "interrupted: the search was not repeated on the noise that its model left"
 )
@@ -95,20 +89,20 @@ def _by_simulation(request: DiagnosisRequest) -> Diagnosis:
         suspects = suspects_text(at_first_sight(preparation.start, preparation.library))
         report(f"fitting the baseline{suspects}", 0.05)
         rough, floor = first_noise(preparation)
-        part = of_part(searching, *SEARCHES[0])
+        part = _turn(searching, 0)
         outcome = search_or_kind(calibrate(preparation, rough, floor, seed, searches, part), part)
         request.keep(outcome.best.model.to_axis(request.axis))
         outcome = _repeated(outcome, seed, searches, searching)
         request.keep(outcome.best.model.to_axis(request.axis))
         report("confirming on data not used so far", 0.9)
-        return validate(outcome, of_part(searching, *CONFIRMATION))
+        return validate(outcome, _turn(searching, rules.IN_TURN))
 
     preparation = _prepared(request, parts)
     validation = validated(preparation)
     if preparation.confirming.chosen == "kept" and _differs_there(validation):
         whole = validated(_prepared(request, parts, preparation.confirming.opened))
         if whole.extended.model.names:
-            preparation, validation = whole.outcome.calibration.preparation, whole
+            preparation, validation = whole.outcome.preparation, whole
     rest, more = check_the_rest(request.records, parts, preparation.laws, validation.extended)
     if request.closest:
         report("looking for the model that follows most closely", 0.95)
@@ -120,7 +114,7 @@ def _differs_there(validation: Validation) -> bool:
     """Whether the part held out has something that the fitted rest lacks, such as a drift that fades."""
     if validation.held_out is None or validation.outcome.interrupted:
         return False
-    floor = validation.outcome.calibration.floor.force
+    floor = validation.outcome.floor.force
     return validation.held_out.gap.extended > rules.QUIET * max(floor, validation.train.gap.extended)
 
 
@@ -129,16 +123,16 @@ def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -
 
     A search that stopped at an unknown force is finished under the last noise only, which takes longest.
     """
-    part = of_part(searching, *SEARCHES[0])
-    for shares in SEARCHES[1:]:
+    part = _turn(searching, 0)
+    for turn in range(1, rules.IN_TURN):
         floor = _finer(outcome)
         if floor is None or outcome.interrupted:
             break
-        calibration, part = outcome.calibration, of_part(searching, *shares)
-        runs = searches if calibration.healthy.searched else 0  # an interrupt ended the calibration for good
+        part = _turn(searching, turn)
+        runs = searches if outcome.healthy.searched else 0  # an interrupt ended the calibration for good
         try:
-            calibration = calibrate(calibration.preparation, calibration.baseline, floor, seed, runs, part)
-            again = search_or_kind(calibration, part, outcome)
+            begun = calibrate(outcome.preparation, outcome.baseline, floor, seed, runs, part)
+            again = search_or_kind(begun, part, outcome)
         except KeyboardInterrupt:
             again = None
         if again is None or again.interrupted:
@@ -151,13 +145,18 @@ def _repeated(outcome: Outcome, seed: int, searches: int, searching: Progress) -
     return outcome
 
 
+def _turn(searching: Progress, number: int) -> Progress:
+    """The progress of the search under estimate ``number`` of the noise, each half of what is left."""
+    return of_part(searching, 1.0 - 0.5**number, 0.5 ** (number + 1))
+
+
 def _finer(outcome: Outcome) -> Floor | None:
     """The noise estimated from the best model, where clearly less than the one it was judged by; else None.
 
     The earlier noise contained what the baseline did not follow, or differences of laps that the model explains. The
     part that an unknown force of one kind explains is no noise either.
     """
-    floor, force = outcome.calibration.floor, outcome.of_a_kind
+    floor, force = outcome.floor, outcome.of_a_kind
     best = outcome.best if force is None else force.fitted
     splits, period = best.problem.splits, best.problem.period
     of_laps = floor_of_laps(best.residuals(), splits, period) if floor.from_laps else None

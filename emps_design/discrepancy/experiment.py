@@ -25,7 +25,6 @@ from emps_design.discrepancy.fit import Fit
 from emps_design.discrepancy.least_squares import Candidate, Slot, descend
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.problem import Hypothesis
-from emps_design.discrepancy.records import START_UP
 from emps_design.discrepancy.words import worded
 from emps_design.effects import Effect, get_effect, kind_of
 from emps_design.errors import SimulationError
@@ -335,7 +334,7 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
     rivals = [outcome.tried[key] for key in sets if key in outcome.tried]
     if rivals and not best.problem.follows:
         cost = best.cost / best.problem.samples("used")  # unexplained structure hides a difference as noise does
-        threshold = outcome.calibration.healthy.threshold
+        threshold = outcome.healthy.threshold
         chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, cost)))
         if chosen is not None:
             return chosen
@@ -449,7 +448,7 @@ def _apart(machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int
     start, slots, known = _one_record(rival)
 
     def missed(model: Candidate) -> np.ndarray:
-        return force[START_UP:] - rival.with_model(model).simulate(0, q_ref=q_ref).force[START_UP:]
+        return force[rules.START_UP :] - rival.with_model(model).simulate(0, q_ref=q_ref).force[rules.START_UP :]
 
     def residual(model: Candidate) -> np.ndarray:
         innovations = rival.problem.whitening.apply(missed(model))

@@ -17,7 +17,7 @@ import numpy as np
 from emps_design.axis import BASELINE, Axis
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import force_rms
-from emps_design.discrepancy.calibration import Calibration
+from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.closest import Closest
 from emps_design.discrepancy.confirmation import deviation_in_time
 from emps_design.discrepancy.experiment import NextExperiment, experiment, what_to_record
@@ -165,15 +165,13 @@ def _finding(validation: Validation, index: int) -> Finding:
         channel=effect.channel,
         where=_where(extended, index, record),
         parameters=parameters,
-        p_value=outcome.calibration.healthy.p_value(without.cost - extended.cost),
+        p_value=outcome.healthy.p_value(without.cost - extended.cost),
         gap_before=force_rms(without),
         gap_after=force_rms(extended),
         confirmed=validation.confirmed.get(effect.name),
         equivalents=tuple(dict.fromkeys(map(kind_of, validation.equivalents.get(effect.name, ())))),
         remedy=effect.words.remedy,
-        note="; ".join(
-            [_note(outcome.calibration.preparation, effect.channel, record), *earlier_instants(validation, index)]
-        ),
+        note="; ".join([_note(outcome.preparation, effect.channel, record), *earlier_instants(validation, index)]),
     )
 
 
@@ -242,12 +240,12 @@ def _note(preparation: Preparation, channel: str, record: int) -> str:
     return f"seen in u minus the controller's law, noise {noise}; the {units.word('force')} balance holds with it"
 
 
-def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[str, Any]]:
+def not_excluded(search: Outcome, named: Sequence[str]) -> list[dict[str, Any]]:
     """A row for each effect not among ``named``: the smallest size that would have been found, None for no size."""
-    baseline = calibration.baseline
-    gain = max(calibration.healthy.threshold, rules.WORTH_AT_FLOOR * baseline.problem.samples("fit"))
-    least = rules.AUDIBLE * calibration.floor.force
-    absorbed, screened = tangent(baseline), {s[0].model.names[-1]: s for s in calibration.screened}
+    baseline = search.baseline
+    gain = max(search.healthy.threshold, rules.WORTH_AT_FLOOR * baseline.problem.samples("fit"))
+    least = rules.SOME * search.floor.force
+    absorbed, screened = tangent(baseline), {s[0].model.names[-1]: s for s in search.screened}
 
     def row(effect: Effect) -> dict[str, Any]:
         starts, side = screened.get(effect.name, ()), "or more"
@@ -262,7 +260,7 @@ def not_excluded(calibration: Calibration, named: Sequence[str]) -> list[dict[st
             text = HIDDEN if size is None else f"{_rounded(parameter, size, baseline.problem.axis.units)} {side}"
         return {"effect": effect.name, "label": effect.label, "size": size, "unit": parameter.unit, "text": text}
 
-    library = calibration.preparation.library
+    library = search.preparation.library
     absent = [effect for effect in library if effect.name not in named and not effect.search.after]
     slowest_first = sorted(absent, key=lambda effect: bool(effect.linear))  # those that need simulations
     rows = {entry["effect"]: entry for entry in side_by_side(row, [(effect,) for effect in slowest_first])}
@@ -348,11 +346,11 @@ def explain(validation: Validation, rest: tuple[Message, ...] = (), closest: Clo
     ``rest`` are warnings on data not searched; ``closest`` is the closest model, where requested.
     """
     outcome, problem = validation.outcome, validation.extended.problem
-    held_out = outcome.calibration.preparation.held_out
+    held_out = outcome.preparation.held_out
     judged = validation.held_out or validation.train
     most = most_missed(validation.baseline)
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
-    floor, used = outcome.calibration.floor, problem.splits[most].used
+    floor, used = outcome.floor, problem.splits[most].used
     details, named, drawn = side_by_side(  # the longest first
         lambda work, *arguments: work(*arguments),
         [
@@ -375,7 +373,7 @@ def explain(validation: Validation, rest: tuple[Message, ...] = (), closest: Clo
         views=with_marks(drawn, named),
         details=details,
         experiment=_experiment(validation, details.get("unexplained")),
-        response=measured_response(outcome.calibration.preparation.records, extended),
+        response=measured_response(outcome.preparation.records, extended),
         closest=closest,
     )
 
@@ -411,16 +409,16 @@ def with_marks(drawn: list[View], named: tuple[Finding, ...]) -> tuple[View, ...
 def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
     """Further entries of the document; ``missed`` is the baseline's missing force on the record shown."""
     outcome, baseline, extended = validation.outcome, validation.baseline, validation.extended
-    calibration, axis = outcome.calibration, extended.problem.axis
-    unseen = not_excluded(calibration, extended.model.names)
+    axis = extended.problem.axis
+    unseen = not_excluded(outcome, extended.model.names)
     shown: dict[str, Any] = {
         "simulation": "inverse model" if extended.problem.follows else "closed loop",
         "candidates": _candidates(validation),
         "parameters": _parameters(validation),
         "not_excluded": [{**row, "unit": axis.units.unit(row["unit"])} for row in unseen],
         "records": _records(validation),
-        "held_out": calibration.preparation.confirming.to_dict(),
-        "calibration": calibration_in_words(calibration),
+        "held_out": outcome.preparation.confirming.to_dict(),
+        "calibration": calibration_in_words(outcome),
         "assumptions": [filled(text, axis.units) for text in ASSUMPTIONS],
         "warnings": warnings(validation),
     }
@@ -437,7 +435,7 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
 
 
 def _records(validation: Validation) -> list[dict[str, Any]]:
-    preparation = validation.outcome.calibration.preparation
+    preparation = validation.outcome.preparation
     roles = [(record, "train") for record in preparation.records]
     held_out = preparation.held_out
     if held_out is not None and held_out.window is None:
@@ -448,7 +446,7 @@ def _records(validation: Validation) -> list[dict[str, Any]]:
 def _candidates(validation: Validation) -> list[dict[str, Any]]:
     """Rows of the effects by the gain of each alone on top of the baseline."""
     outcome = validation.outcome
-    base, to_beat = outcome.path[0], outcome.calibration.judge.to_beat(outcome.path[0])
+    base, to_beat = outcome.path[0], outcome.judge.to_beat(outcome.path[0])
     ranked = sorted(outcome.alone.items(), key=lambda pair: -pair[1])
     rows = []
     for name, gain in ranked[:SHOWN_CANDIDATES]:
@@ -471,7 +469,7 @@ def _candidates(validation: Validation) -> list[dict[str, Any]]:
 
 def _parameters(validation: Validation) -> dict[str, Any]:
     """Baseline parameters of the axis file, fitted alone, and beside the effects; None where not determined."""
-    direction = validation.outcome.calibration.preparation.direction
+    direction = validation.outcome.preparation.direction
     axis = validation.extended.problem.axis
     axis_numbers = axis.mechanics.array()
     pairs = {

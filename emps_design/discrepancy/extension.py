@@ -19,21 +19,9 @@ from emps_design.discrepancy.starts import Start, Tangent, bent, either_baseline
 from emps_design.discrepancy.unknown_force import missing_force
 from emps_design.effects import Effect
 
-REFINED = 2  # starts of each effect that get a short fit
-SHORT_STEPS = 4
-FIRST_STEPS = 1  # of them, after which only starts that may still win continue
-SIMPLEX = 60  # simulations of a first descent where play makes the cost rough
-FINALISTS = 4  # effects that get a full fit
-PROMISED = 2  # best first-order gains, which get a full fit whatever the short fit says
-BENT_EFFECTS, BENT_STARTS = 2, 6  # fitted where the gap bent the baseline
-TRIED_STEPS = 4  # of every fit of an effect with many starts, or of another shape of it
-PROMISING = 2  # of them continue
-REVISED = 4  # other shapes of an accepted effect that are fitted
-MOST_FITS = 8  # one after the other until they have converged
-
 
 def extended(
-    current: Fit, library: tuple[Effect, ...], rival: float = rules.RIVAL
+    current: Fit, library: tuple[Effect, ...], rival: float = rules.HALF
 ) -> tuple[list[Fit], dict[str, float]]:
     """:func:`extensions` of ``current`` by the effects of ``library``.
 
@@ -54,7 +42,7 @@ def _extensions_of(current: Fit, library: tuple[Effect, ...], rival: float) -> t
 
 
 def extensions(
-    current: Fit, screened: list[list[Start]], absorbed: Tangent, rival: float = rules.RIVAL
+    current: Fit, screened: list[list[Start]], absorbed: Tangent, rival: float = rules.HALF
 ) -> tuple[list[Fit], dict[str, float]]:
     """Fit the ``screened`` starts on top of ``current`` that promise a gain; best first.
 
@@ -63,8 +51,8 @@ def extensions(
     returns the gain of each effect in its short fit [whitened cost].
     """
     best = max((group[0].gain for group in screened), default=0.0)
-    least = max(rules.SMALLEST_GAIN, rules.WORTH_FITTING * best)
-    worth = [start for group in screened for start in group[:REFINED] if start.gain >= least]
+    least = max(rules.SMALLEST_GAIN, rules.SLIGHT * best)
+    worth = [start for group in screened for start in group[: rules.FEW] if start.gain >= least]
     before = float(absorbed.residual @ absorbed.residual)
     leading: dict[str, Descent] = {}
     for short in _short_fits(worth, absorbed, before, rules.MAY_RIVAL * rival):
@@ -76,17 +64,18 @@ def extensions(
     shorts = [(short.cost, current.with_model(short.model)) for short in leading.values()]
     ranked = sorted(((cost, short) for cost, short in shorts if plausible(short)), key=lambda pair: pair[0])
     # Where an effect replaces much of the baseline, the tangent misleads its short fit: it is fitted all the same.
-    promised = sorted(screened, key=lambda group: -group[0].gain)[:PROMISED]
+    promised = sorted(screened, key=lambda group: -group[0].gain)[: rules.FEW]
     anyway = {group[0].model.names[-1] for group in promised if group[0].gain >= rival * best}
     begins = [
         short
         for place, (cost, short) in enumerate(ranked)
-        if (place < FINALISTS and before - cost >= rival * (before - ranked[0][0])) or short.model.names[-1] in anyway
+        if (place < rules.FINALISTS and before - cost >= rival * (before - ranked[0][0]))
+        or short.model.names[-1] in anyway
     ]
     if bent(current, before / absorbed.residual.size):
         # A baseline bent by the gap leads short fits astray: the leading effects are fitted from several starts.
-        leaders = sorted(screened, key=lambda group: -group[0].gain)[:BENT_EFFECTS]
-        more = [start.hypothesis for group in leaders for start in group[:BENT_STARTS]]
+        leaders = sorted(screened, key=lambda group: -group[0].gain)[: rules.FEW]
+        more = [start.hypothesis for group in leaders for start in group[: rules.BENT_STARTS]]
         begins += [hypothesis for hypothesis in more if plausible(hypothesis)]
     fits = side_by_side(_fitted, [(begin,) for begin in _promising(begins)])
     return sorted(fits, key=lambda f: f.cost), gains
@@ -123,10 +112,10 @@ def _short_fits(begins: list[Start], absorbed: Tangent, before: float, share: fl
 
     ``before`` is the cost without any of them.
     """
-    shorts = side_by_side(_short_fit, [(start, start.model, absorbed, FIRST_STEPS) for start in begins])
+    shorts = side_by_side(_short_fit, [(start, start.model, absorbed, 1) for start in begins])
     least = share * max((before - short.cost for short in shorts), default=0.0)
     go_on = [i for i, start in enumerate(begins) if max(start.gain, before - shorts[i].cost) >= least]
-    more = SHORT_STEPS - FIRST_STEPS
+    more = rules.SHORT_STEPS - 1
     further = side_by_side(_short_fit, [(begins[i], shorts[i].model, absorbed, more) for i in go_on])
     for i, short in zip(go_on, further, strict=True):
         shorts[i] = short
@@ -141,7 +130,7 @@ def _short_fit(start: Start, begin: Candidate, absorbed: Tangent, steps: int) ->
         return free(start.hypothesis.with_model(model).residual("fit"))
 
     if begin is start.model and begin.effects[-1].play:
-        begin = simplex(begin, own, free_residual, SIMPLEX)
+        begin = simplex(begin, own, free_residual, rules.SIMPLEX)
     return descend(begin, own, free_residual, steps)
 
 
@@ -152,8 +141,8 @@ def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
         alike.setdefault(begin.model.names, []).append(begin)
     promising: list[Hypothesis] = []
     for group in alike.values():
-        if len(group) > PROMISING:
-            promising += sorted(_tried(group), key=lambda f: f.cost)[:PROMISING]
+        if len(group) > rules.FEW:
+            promising += sorted(_tried(group), key=lambda f: f.cost)[: rules.FEW]
         else:
             promising += group
     return promising
@@ -175,12 +164,9 @@ def _fitted(begin: Hypothesis) -> Fit:
 
 def _settled(fitted: Fit) -> Fit:
     """Fit until the cost falls by less than ``rules.STILL_PAYS``."""
-    for _ in range(MOST_FITS):
-        further = fit(fitted)
-        if further.cost > (1 - rules.STILL_PAYS) * fitted.cost:
-            return min(fitted, further, key=lambda f: f.cost)
+    while (further := fit(fitted)).cost <= (1 - rules.STILL_PAYS) * fitted.cost:
         fitted = further
-    return fitted
+    return min(fitted, further, key=lambda f: f.cost)
 
 
 def _revised(fitted: Fit) -> Fit:
@@ -214,7 +200,7 @@ def _other_shapes(without: Fit, effect: Effect, values: np.ndarray, shapes: list
         shape = start.model.values[-1][:, shapes]
         if start.anchored and not np.array_equal(shape, values[:, shapes]):
             other.setdefault(shape.tobytes(), start.hypothesis)
-    return list(other.values())[:REVISED]
+    return list(other.values())[: rules.FINALISTS]
 
 
 def _in_reach(begins: list[Hypothesis], fitted: Fit) -> list[Fit]:
@@ -224,7 +210,7 @@ def _in_reach(begins: list[Hypothesis], fitted: Fit) -> list[Fit]:
 
 def _tried(begins: list[Hypothesis]) -> list[Fit]:
     """The first steps of a fit of each of ``begins``."""
-    return side_by_side(fit, [(begin, "fit", None, TRIED_STEPS) for begin in begins])
+    return side_by_side(fit, [(begin, "fit", None, rules.SHORT_STEPS) for begin in begins])
 
 
 def _forms(fitted: Fit) -> list[Hypothesis]:

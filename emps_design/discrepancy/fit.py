@@ -8,16 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.least_squares import WORST, Candidate, Slot, bounded, descend, descend_rough
-from emps_design.discrepancy.noise_floor import PIECE
+from emps_design.discrepancy.least_squares import Candidate, Slot, bounded, descend, descend_rough
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.effects import Motion, kind_of
 from emps_design.errors import SimulationError
 from emps_design.records import Record
-
-NOISES = 3  # draws of noise on the simulated carriage
-STEP = 1e-3  # finite difference of a sensitivity, in magnitudes of the parameter
 
 
 @dataclass(frozen=True)
@@ -58,12 +54,14 @@ class Fit(Hypothesis):
         from scipy.ndimage import uniform_filter1d
 
         quiet = self.whitened()
-        disturbed = side_by_side(self._disturbed, [(seed,) for seed in range(NOISES)])
+        disturbed = side_by_side(self._disturbed, [(seed,) for seed in range(rules.NOISES)])
         grown = [
             np.mean([(draw - other) ** 2 for draw in draws], axis=0)
             for *draws, other in zip(*disturbed, quiet, strict=True)
         ]
-        return tuple(np.sqrt(np.maximum(uniform_filter1d(square, min(PIECE, square.size)), 1.0)) for square in grown)
+        return tuple(
+            np.sqrt(np.maximum(uniform_filter1d(square, min(rules.PIECE, square.size)), 1.0)) for square in grown
+        )
 
     def _disturbed(self, seed: int) -> tuple[np.ndarray, ...]:
         """The innovations with noise on the carriage; where that cannot be simulated, those without."""
@@ -100,7 +98,7 @@ def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: n
     try:
         innovations = hypothesis.whitened()
     except SimulationError:
-        return Fit(problem, model, slots, np.zeros((len(slots),) * 2), (), WORST, WORST)
+        return Fit(problem, model, slots, np.zeros((len(slots),) * 2), (), rules.WORST, rules.WORST)
     fitting, selecting = (sum(float(w @ w) for w in problem.pick(innovations, part)) for part in ("fit", "select"))
     return Fit(problem, model, slots, covariance, innovations, fitting, selecting)
 
@@ -112,7 +110,7 @@ def weighed(fitted: Fit) -> Fit | None:
     weighted: play bounces at every reversal, and little would be left to determine it.
     """
     bounces = any(effect.play for effect in fitted.model.effects)
-    if bounces or max(float(loud.max()) for loud in fitted.loudness) < rules.LOUD:
+    if bounces or max(float(loud.max()) for loud in fitted.loudness) < rules.TWICE:
         return None
     problem = replace(fitted.problem, loudness=fitted.loudness)
     return evaluate(Hypothesis(problem, fitted.model), fitted.slots, fitted.covariance)
@@ -152,11 +150,11 @@ def _over_surfaces(fitted: Fit, part: str) -> Fit:
 
 def bounded_cost(fitted: Fit) -> float:
     """Cost on the used samples with Cauchy's loss, in which bursts count little."""
-    return float(np.sum(bounded(fitted.residual("used")) ** 2)) if fitted.innovations else WORST
+    return float(np.sum(bounded(fitted.residual("used")) ** 2)) if fitted.innovations else rules.WORST
 
 
 def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
-    """Change (n, k) of the whitened residual on ``part`` by ``STEP`` magnitudes of each parameter in ``slots``.
+    """Change (n, k) of the whitened residual on ``part`` by ``rules.STEP`` magnitudes of each parameter in ``slots``.
 
     The column of a step at which the model cannot be simulated is 0.
     """
@@ -170,7 +168,7 @@ def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray
 
     x, moves = model.vector(slots), []
     for k, slot in enumerate(slots):
-        moved, step = x.copy(), STEP * slot.magnitude
+        moved, step = x.copy(), rules.STEP * slot.magnitude
         moved[k] += step * (1 if x[k] + step <= slot.quantity.upper else -1)
         moves.append((fitted.with_model(model.with_vector(slots, moved)),))
     return np.column_stack(side_by_side(changed, moves))
@@ -231,7 +229,7 @@ def bounds_met(fitted: Fit) -> list[Slot]:
     """The free parameters of the effects that ended on a bound."""
     met = []
     for slot, value in zip(fitted.slots, fitted.model.vector(fitted.slots), strict=True):
-        near = rules.ON_BOUND * slot.magnitude
+        near = rules.NOTHING * slot.magnitude
         if slot.effect >= 0 and (value <= slot.quantity.lower + near or value >= slot.quantity.upper - near):
             met.append(slot)
     return met

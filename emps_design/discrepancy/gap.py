@@ -17,7 +17,6 @@ from emps_design.discrepancy.noise_floor import rms_interval
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.preparation import HeldOut, check_law, propose_command
 from emps_design.discrepancy.problem import Hypothesis, Problem
-from emps_design.discrepancy.records import CUTOFF_HZ
 from emps_design.discrepancy.unknown_force import missing_force
 from emps_design.observer import motor_force
 from emps_design.records import Record
@@ -99,7 +98,7 @@ def compare(
     pairs = zip(*(prediction.errors() for prediction in predictions), strict=True)
     errors = {name: np.concatenate(parts) for name, parts in zip(("baseline", "extended"), pairs, strict=True)}
     for name, model in zip(("baseline_60hz", "extended_60hz"), models, strict=True):
-        missing = problem.pick(tuple(m.force for m in missing_force(model, CUTOFF_HZ)), "used")
+        missing = problem.pick(tuple(m.force for m in missing_force(model, rules.CUTOFF_HZ)), "used")
         errors[name] = np.concatenate([force - force.mean() for force in missing])
     intervals = side_by_side(rms_interval, [(error,) for error in errors.values()])
     gap = Gap(

@@ -27,33 +27,6 @@ from emps_design.effects.sizes import sized_parameter
 from emps_design.errors import SimulationError
 from emps_design.quantities import Quantity
 
-LEAST_MASS = 0.01  # of the axis file's: with almost no mass friction dominates, and a simulation takes very long
-
-NUDGE = 2e-4  # finite difference, in magnitudes of the parameter
-COARSE = 5e-3  # the same where the fine one finds no descent and structure is left, as with play
-BOLDEST = 0.5  # largest step of a fit, in magnitudes of the parameter: a period must not jump over its neighbours
-TRIALS = 6  # of one step, with more and more damping
-DAMPING = (1e-7, 1e6)  # least and most
-GOES_ON = 0.1  # of the cost: after a larger gain the next step uses Broyden's update of the Jacobian
-CONVERGED = (1e-4, 0.1)  # gain of a step, as a share of the cost and absolute, below which a descent ends
-CLUSTER = 500  # samples that structure in a residual spans, for the covariance
-WORST = 1e12  # cost of a model that cannot be simulated; finite for a fit to step back from it
-
-SPAN = 0.3  # of the logarithm of each number, the first simplex
-ENDS = 0.01  # of the logarithm, size of a simplex that is small enough
-
-ROUNDS = 30  # surfaces, one after the other
-CHANGED = 2.0  # times the cost: change of the residual by one parameter at the edge of the first neighbourhood
-SOUGHT = 4  # times that edge is corrected before the first surface
-CLOSER = 0.6  # of the neighbourhood is the next one where a surface led no further, and at least
-OFTEN = 4  # times in so many rounds
-FAR = 4.0  # neighbourhoods that a step may lead away
-ASTRAY = 1.5  # times the least cost, beyond which a step is taken back, and the neighbourhood was too large by far
-FURTHER = 1e-3  # of the least cost less, and a surface has led further
-IN_VAIN = 5  # surfaces one after the other that led no further, though not astray: there is nothing more to find
-RIDGE = 1e-3  # of the diagonal
-ALIKE = 4.0  # times the deviation of the costs on a surface, up to which a place is as good as the best
-
 
 @dataclass(frozen=True)
 class Slot:
@@ -86,7 +59,7 @@ class Candidate:
     def of(cls, axis: Axis, factors: Mapping[str, float], held: tuple[int, ...] = ()) -> Candidate:
         """The baseline of ``axis``, sized by its ``factors`` of :func:`~emps_design.effects.sizes.sizes`."""
         _, *rest = (sized_parameter(parameter, factors) for parameter in BASELINE)
-        least = LEAST_MASS * axis.mechanics.mass
+        least = rules.LEAST_MASS * axis.mechanics.mass
         return cls(axis.mechanics.array(), sizes=(replace(BASELINE[0], lower=least, scale=least), *rest), held=held)
 
     @property
@@ -238,10 +211,10 @@ def descend(
     try:
         current = residual(start)
     except SimulationError:
-        return Descent(start, WORST, np.zeros((len(slots),) * 2))
+        return Descent(start, rules.WORST, np.zeros((len(slots),) * 2))
     if not slots:
         return Descent(start, float(current @ current), np.zeros((0, 0)))
-    model, damping, nudge, jacobian = start, 1e-3, NUDGE, np.zeros((current.size, len(slots)))
+    model, damping, nudge, jacobian = start, rules.DAMPING, rules.NUDGE, np.zeros((current.size, len(slots)))
     simulations = steps * (len(slots) + 1)
     while simulations > 0:
         nudges = np.where(x + nudge <= upper, nudge, -nudge)
@@ -249,25 +222,25 @@ def descend(
         for k, (reached, step) in enumerate(zip(shifted, nudges, strict=True)):
             jacobian[:, k] = 0.0 if reached is None else (reached - current) / step
         simulations -= len(slots)
-        first, secant, most = float(current @ current), jacobian.copy(), TRIALS
+        first, secant, most = float(current @ current), jacobian.copy(), rules.TRIALS
         while most and simulations > 0:
             cost, trials, most = float(current @ current), most, 0
             for trial, tried in itertools.islice(_moves(secant, current, x, lower, upper, damping), trials):
                 reached, simulations = attempt(trial), simulations - 1
                 if reached is None or float(reached @ reached) >= cost:
-                    damping = min(tried * 10, DAMPING[1])
+                    damping = tried * 10
                     continue
                 moved, change = trial - x, reached - current
                 model, x, current = free.at(trial), trial, reached
-                damping = max(tried / 10, DAMPING[0])
-                if float(current @ current) < (1 - GOES_ON) * cost:
+                damping = max(tried / 10, rules.NOTHING)
+                if float(current @ current) < (1 - rules.MINOR) * cost:
                     secant += np.outer(change - secant @ moved, moved / (moved @ moved))
                     most = 1
                 break
         gain = first - float(current @ current)
-        if gain == 0.0 and nudge == NUDGE and first > rules.STRUCTURED * current.size:
-            damping, nudge = 1e-3, COARSE
-        elif gain < CONVERGED[0] * first + CONVERGED[1]:
+        if gain == 0.0 and nudge == rules.NUDGE and first > rules.STRUCTURED * current.size:
+            damping, nudge = rules.DAMPING, rules.COARSE_NUDGE
+        elif gain < rules.CONVERGED[0] * first + rules.CONVERGED[1]:
             break
     return Descent(model, float(current @ current), free.unscaled(covariance_of(jacobian, current)))
 
@@ -275,15 +248,18 @@ def descend(
 def _moves(
     jacobian: np.ndarray, residual: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Trial points from ``x`` (k,) within its bounds, and the damping of each: ten times more than the one before."""
+    """Trial points from ``x`` (k,) within its bounds, and the damping of each: ten times more than the one before.
+
+    No number moves by more than half its magnitude: a period must not jump over its neighbours.
+    """
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
     while True:
         free = ~(((x <= lower) & (gradient > 0)) | ((x >= upper) & (gradient < 0)))
         lhs = normal[np.ix_(free, free)] + damping * np.diag(np.diag(normal)[free] + 1e-9)
         move = np.zeros_like(x)
         move[free] = -np.linalg.lstsq(lhs, gradient[free], rcond=None)[0]
-        yield np.clip(x + np.clip(move, -BOLDEST, BOLDEST), lower, upper), damping
-        damping = min(damping * 10, DAMPING[1])
+        yield np.clip(x + np.clip(move, -rules.HALF, rules.HALF), lower, upper), damping
+        damping *= 10
 
 
 def covariance_of(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
@@ -295,7 +271,7 @@ def covariance_of(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """
     inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     covariance = inverse * max(1.0, float(residual @ residual) / residual.size)
-    starts = np.arange(0, residual.size, CLUSTER)
+    starts = np.arange(0, residual.size, rules.PIECE)
     pulls = np.add.reduceat(jacobian * residual[:, None], starts, axis=0)
     pulls -= pulls.mean(axis=0)
     spread = inverse @ (pulls.T @ pulls) @ inverse
@@ -308,7 +284,7 @@ def simplex(
 ) -> Candidate:
     """``start`` with the positive parameters in ``slots`` minimising the sum of squares of ``residual``.
 
-    At most ``simulations`` simulations; a model that cannot be simulated costs :data:`WORST`.
+    At most ``simulations`` simulations; a model that cannot be simulated costs ``rules.WORST``.
     """
     from scipy.optimize import minimize
 
@@ -319,12 +295,12 @@ def simplex(
         try:
             missed = residual(moved(logarithms))
         except SimulationError:
-            return WORST
+            return rules.WORST
         return float(missed @ missed)
 
     first = np.log(np.maximum(start.vector(slots), [1e-3 * slot.magnitude for slot in slots]))
-    corners = np.vstack([first, first + SPAN * np.eye(first.size)])
-    options = {"initial_simplex": corners, "maxfev": simulations, "xatol": ENDS, "fatol": 0.0}
+    corners = np.vstack([first, first + rules.SPAN * np.eye(first.size)])
+    options = {"initial_simplex": corners, "maxfev": simulations, "xatol": 0.0, "fatol": 0.0}
     return moved(minimize(cost, first, method="Nelder-Mead", options=options).x)
 
 
@@ -361,41 +337,41 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
     first = visit(x[None])
     covariance, rough = np.zeros((x.size, x.size)), 0.0
     if first is None or not slots:
-        return Descent(start, visited[0][0] if visited else WORST, covariance)
+        return Descent(start, visited[0][0] if visited else rules.WORST, covariance)
     reach, vain = _reach(free.attempt, x, first[0]), 0
-    for number in range(ROUNDS):
+    for number in range(rules.SURFACES):
         directions = np.linalg.qr(random.standard_normal((x.size, x.size)))[0] * np.sqrt(x.size) * reach
         met = visit(np.clip(np.concatenate([x + directions, x - directions]), *free.bounds))
         if met is None:
-            reach = reach * CLOSER
+            reach = reach * rules.CLOSER
             continue
         ahead, behind = np.split(np.array(met), 2)
         jacobian = (ahead - behind).T @ directions / (2 * x.size * reach**2)
         middle = np.mean(met, axis=0)
         covariance, rough = covariance_of(jacobian, middle), float(np.std([m @ m for m in met]))
         normal = jacobian.T @ jacobian
-        move = -np.linalg.lstsq(normal + RIDGE * np.diag(np.diag(normal)), jacobian.T @ middle, rcond=None)[0]
-        moved = np.clip(x + np.clip(move, -FAR * reach, FAR * reach), *free.bounds)
+        move = -np.linalg.lstsq(normal + rules.DAMPING * np.diag(np.diag(normal)), jacobian.T @ middle, rcond=None)[0]
+        moved = np.clip(x + np.clip(move, -rules.FARTHEST * reach, rules.FARTHEST * reach), *free.bounds)
         before, reached = least()[0], visit(moved[None])
-        astray = reached is None or visited[-1][0] > ASTRAY * least()[0]
+        astray = reached is None or visited[-1][0] > rules.IN_REACH * least()[0]
         x = least()[1] if astray else moved
-        vain = 0 if least()[0] < (1 - FURTHER) * before else vain + (not astray)
-        if vain == IN_VAIN:
+        vain = 0 if least()[0] < (1 - rules.BARELY) * before else vain + (not astray)
+        if vain == rules.IN_VAIN:
             break
         if astray:
-            reach = reach * CLOSER**2
-        elif np.all(np.abs(move) < reach) or number % OFTEN == OFTEN - 1:
-            reach = reach * CLOSER
+            reach = reach * rules.CLOSER**2
+        elif np.all(np.abs(move) < reach) or number % rules.OFTEN == rules.OFTEN - 1:
+            reach = reach * rules.CLOSER
     cost, best = least()
-    alike = np.array([place for other_cost, place in visited if other_cost <= cost + ALIKE * rough])
+    alike = np.array([place for other_cost, place in visited if other_cost <= cost + rules.ALIKE * rough])
     covariance = covariance + np.cov(alike.T, bias=True).reshape(covariance.shape)
     return Descent(free.at(best), cost, free.unscaled(covariance))
 
 
 def _reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Change (k,) of each of ``x`` (k,) alone that changes the residual ``first`` by ``CHANGED`` times its cost."""
-    reach, wanted = np.full(x.size, 1e-3), CHANGED * float(first @ first)
-    for _ in range(SOUGHT):
+    """Change (k,) of each of ``x`` (k,) alone that changes ``first``, the residual, by ``rules.TWICE`` costs."""
+    reach, wanted = np.full(x.size, 1e-3), rules.TWICE * float(first @ first)
+    for _ in range(rules.SOUGHT):
         met = side_by_side(attempt, [(moved,) for moved in x + np.diag(reach)])
         changed = [np.inf if residual is None else float(np.sum((residual - first) ** 2)) for residual in met]
         reach = reach * np.clip(np.sqrt(wanted / np.maximum(changed, 1e-300)), 0.1, 10.0)

@@ -7,16 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.preparation import MOST_SAMPLES, LawCheck, law_voltage, with_law_gap
+from emps_design.discrepancy.preparation import LawCheck, law_voltage, with_law_gap
 from emps_design.discrepancy.problem import Hypothesis
-from emps_design.discrepancy.records import START_UP
 from emps_design.errors import SimulationError
 from emps_design.messages import Message, warning
 from emps_design.quantities import rounded
 from emps_design.records import Record
-
-SEARCHED = 150_000  # samples in all, from the first motion on, of records that together are too long
-PIECE_TIME = 10.0  # s, of the pieces of a record whose residuals are compared
 
 Interval = tuple[float, float]
 
@@ -24,19 +20,19 @@ Interval = tuple[float, float]
 def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[Record, ...]:
     """What is searched of ``records``: all, or of too many samples what the ``windows`` [s] need, or the first strokes.
 
-    >>> wave = np.sin(np.arange(MOST_SAMPLES + 1) * 1e-3)
+    >>> wave = np.sin(np.arange(rules.MOST_SAMPLES + 1) * 1e-3)
     >>> hour = Record.from_arrays(1e-3, wave, wave, wave)
     >>> [len(part) for part in beginnings((hour,), None)], [len(part) for part in beginnings((hour,), (5.0, 60.0))]
     ([150001], [60000])
     """
-    if sum(map(len, records)) <= MOST_SAMPLES:
+    if sum(map(len, records)) <= rules.MOST_SAMPLES:
         return records
     last = max((window[1] for window in windows if window is not None), default=None)
     parts = []
     for record in records:
         if last is None:
             moving = int(np.argmax(record.q_ref != record.q_ref[0]))
-            stop = moving + SEARCHED // len(records)
+            stop = moving + rules.SEARCHED // len(records)
         else:
             stop = round(last / record.period)
         parts.append(record.until(stop))
@@ -72,18 +68,20 @@ def check_the_rest(
             remarks.append(warning("rest-not-simulated", text, record=record.name))
             more = True
             continue
-        size = round(PIECE_TIME / record.period)
-        pieces = residual[START_UP:][: (residual.size - START_UP) // size * size].reshape(-1, size).std(axis=1)
+        size = round(rules.PIECE_TIME / record.period)
+        pieces = (
+            residual[rules.START_UP :][: (residual.size - rules.START_UP) // size * size].reshape(-1, size).std(axis=1)
+        )
         usual, most = float(np.median(pieces[: len(searched) // size])), int(np.argmax(pieces))
         left, largest, usually = (
             hypothesis.problem.axis.units.quantity(float(size), "N", rounded)
-            for size in (np.std(residual[START_UP:]), pieces[most], usual)
+            for size in (np.std(residual[rules.START_UP :]), pieces[most], usual)
         )
         text = f"{head}; over the whole record the model leaves {left}"
         if pieces[most] > rules.UNUSUAL * usual:
             more = True
             text += (
-                f", and {largest} in the {PIECE_TIME:g} s from {most * PIECE_TIME:g} s on, "
+                f", and {largest} in the {rules.PIECE_TIME:g} s from {most * rules.PIECE_TIME:g} s on, "
                 f"where {usually} are usual: something else is there, or changed; look at it with `fit_time`"
             )
         remarks.append(warning("part-searched", text, record=record.name, searched=searched.duration))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,19 +11,8 @@ import numpy as np
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.parallel import side_by_side
-from emps_design.discrepancy.records import START_UP, Split
+from emps_design.discrepancy.records import Split
 
-ORDER = 24  # of the autoregressive model of the noise
-
-PIECE = 500  # samples of a piece of noise; mean length in the bootstrap
-DRAWS = 199
-ENDS = (0.025, 0.975)  # quantiles
-
-BAND_HZ = 60.0
-FIRST_DIFFERENCE, SECOND_DIFFERENCE = (-1.0, 1.0), (1.0, -2.0, 1.0)
-EVERY_TWO = (FIRST_DIFFERENCE, (-1.0, 0.0, 1.0), (0.0, *FIRST_DIFFERENCE))  # of three laps
-TOGETHER = 3  # laps, of which two agree nearly everywhere, even if each is disturbed now and then
-NEIGHBOURS = 40  # lines of a spectrum on both sides for the median
 LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
 
 Signals = tuple[np.ndarray, np.ndarray]  # a force (n,) [N], unfiltered and low-passed
@@ -73,14 +63,16 @@ def rms_interval(error: np.ndarray, seed: int = 0) -> tuple[float, float]:
     True
     """
     generator, n = np.random.default_rng(seed), error.size
-    piece = min(PIECE, n // 4)
-    lengths = generator.geometric(1 / piece, (DRAWS, 2 * (n // piece) + 50))  # more than enough to fill the record
+    piece = min(rules.PIECE, n // 4)
+    lengths = generator.geometric(
+        1 / piece, (rules.RESAMPLES, 2 * (n // piece) + 50)
+    )  # more than enough to fill the record
     ends = np.minimum(np.cumsum(lengths, axis=1), n)
     lengths = np.diff(ends, axis=1, prepend=0)
     begins = generator.integers(0, n, lengths.shape)
     squares = np.concatenate(([0.0], np.cumsum(np.tile(error**2, 2))))
     means = (squares[begins + lengths] - squares[begins]).sum(axis=1) / ends[:, -1]
-    low, high = np.sqrt(np.quantile(means, ENDS))
+    low, high = np.sqrt(np.quantile(means, rules.INTERVAL))
     return float(low), float(high)
 
 
@@ -121,17 +113,17 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
     """
     from emps_design.identification.filters import low_pass
 
-    signals = [(force, low_pass(force, BAND_HZ, period)) for force in residuals]
-    ways = partial(_weighted, weights=FIRST_DIFFERENCE), partial(_weighted, weights=SECOND_DIFFERENCE), _agreeing
+    signals = [(force, low_pass(force, rules.CUTOFF_HZ, period)) for force in residuals]
+    ways = partial(_weighted, order=1), partial(_weighted, order=2), _agreeing
     first, second, agreeing = (_differences(signals, splits, way) for way in ways)
     if not first[0]:
         return None
-    drifts = bool(second[0]) and _rms(second[0]) < rules.DRIFTS * _rms(first[0])
+    drifts = bool(second[0]) and _rms(second[0]) < rules.CLEARLY_LESS * _rms(first[0])
     floor = _floor(*(second if drifts else first), LAPS)
     if not agreeing[0]:
         return floor
     quietest = _floor(*agreeing, LAPS)
-    return quietest if quietest.force < rules.PUSHED * floor.force else floor
+    return quietest if quietest.force < rules.THIRD * floor.force else floor
 
 
 def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: Way) -> Parts:
@@ -145,9 +137,10 @@ def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: Way
     return raw, smooth
 
 
-def _weighted(signals: Signals, split: Split, weights: tuple[float, ...]) -> Parts:
-    """Combinations of consecutive laps with ``weights``."""
-    laps = _laps(split, len(weights))
+def _weighted(signals: Signals, split: Split, order: int) -> Parts:
+    """Differences of the given ``order`` between consecutive laps."""
+    weights = np.diff(np.eye(order + 1), order, axis=0)[0]
+    laps = _laps(split, weights.size)
     raw, smooth = ([_difference(signal, start, stop, split.lap, weights) for start, stop in laps] for signal in signals)
     return raw, smooth
 
@@ -156,8 +149,8 @@ def _agreeing(signals: Signals, split: Split) -> Parts:
     """Differences of the two laps of every three that agree best, piece by piece."""
     raw: list[np.ndarray] = []
     smooth: list[np.ndarray] = []
-    for start, stop in _laps(split, TOGETHER)[::TOGETHER]:
-        if stop - start < PIECE:
+    for start, stop in _laps(split, rules.LAPS)[:: rules.LAPS]:
+        if stop - start < rules.PIECE:
             continue
         pairs, slow = (_pairs(signal, start, stop, split.lap) for signal in signals)
         best = np.argmin(np.sum(pairs**2, axis=2), axis=0), np.arange(pairs.shape[1])
@@ -168,24 +161,26 @@ def _agreeing(signals: Signals, split: Split) -> Parts:
 
 def _pairs(signal: np.ndarray, start: int, stop: int, lap: int) -> np.ndarray:
     """Differences (3, pieces, samples) of every two of three laps, less the median of each, which a drift makes."""
-    pairs = [_difference(signal, start, stop, lap, weights) for weights in EVERY_TWO]
-    cut = np.array([_pieces(pair, PIECE) for pair in pairs])
+    one = np.eye(rules.LAPS)
+    every_two = [one[later] - one[earlier] for earlier, later in itertools.combinations(range(rules.LAPS), 2)]
+    pairs = [_difference(signal, start, stop, lap, weights) for weights in every_two]
+    cut = np.array([_pieces(pair, rules.PIECE) for pair in pairs])
     return cut - np.median(cut, axis=(1, 2), keepdims=True)
 
 
 def _laps(split: Split, together: int) -> list[tuple[int, int]]:
     """Samples (start, stop) of the first lap of every group of ``together`` consecutive laps."""
     used = np.nonzero(split.used)[0]
-    if split.lap == 0 or used.size < together * split.lap - START_UP:
+    if split.lap == 0 or used.size < together * split.lap - rules.START_UP:
         return []
     first, last, others = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
     # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
     begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
-    groups = [(a, min(a + split.lap, last - others)) for a in range(begin, last - others - START_UP, split.lap)]
+    groups = [(a, min(a + split.lap, last - others)) for a in range(begin, last - others - rules.START_UP, split.lap)]
     return [(a, b) for a, b in groups if split.used[a : b + others].all()]  # not the held-out part
 
 
-def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: tuple[float, ...]) -> np.ndarray:
+def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: np.ndarray) -> np.ndarray:
     """Combination of laps with ``weights``, scaled to the standard deviation of one lap's noise."""
     laps = [weight * signal[start + i * lap : stop + i * lap] for i, weight in enumerate(weights)]
     return np.sum(laps, axis=0) / np.sqrt(np.sum(np.square(weights)))
@@ -197,7 +192,7 @@ def floor_of_residual(forces: Sequence[np.ndarray], period: float, source: str) 
 
     raw, smooth = [], []
     for force in forces:
-        usual = _steady([force], [low_pass(force, BAND_HZ, period)])
+        usual = _steady([force], [low_pass(force, rules.CUTOFF_HZ, period)])
         raw += usual[0]
         smooth += usual[1]
     return _floor(raw, smooth, source)
@@ -206,7 +201,7 @@ def floor_of_residual(forces: Sequence[np.ndarray], period: float, source: str) 
 def _floor(raw: list[np.ndarray], smooth: list[np.ndarray], source: str) -> Floor:
     (force, lags), (force_60hz, _) = side_by_side(_broadband, [(raw,), (smooth,)])
     whitening = Whitening.of_autocovariance(lags)
-    draws = np.concatenate([whitening.apply(d - d.mean())[START_UP:] for d in raw])
+    draws = np.concatenate([whitening.apply(d - d.mean())[rules.START_UP :] for d in raw])
     intervals = side_by_side(_interval, [(raw, force), (smooth, force_60hz)])
     return Floor(force, force_60hz, intervals[0], intervals[1], whitening, draws / draws.std(), source)
 
@@ -219,7 +214,7 @@ def _interval(parts: list[np.ndarray], rms: float) -> tuple[float, float]:
 
 
 def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
-    """Rms [N] and autocovariance (ORDER + 1,) [N^2] of ``parts`` without the lines of their spectrum.
+    """Rms [N] and autocovariance (``rules.ORDER`` + 1,) [N^2] of ``parts`` without the lines of their spectrum.
 
     A hum that is not synchronous with the laps differs between them, and is no noise: a line far above the median of
     its neighbours is reduced to it.
@@ -232,9 +227,9 @@ def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
         window = np.hanning(part.size)  # to limit the leakage of a tone
         power += np.abs(np.fft.rfft(window * (part - part.mean()), 2 * size)) ** 2 / np.mean(window**2)
         samples += part.size
-    usual = median_filter(power, 2 * NEIGHBOURS + 1, mode="nearest")
+    usual = median_filter(power, 2 * rules.NEIGHBOURS + 1, mode="nearest")
     power = np.where(power > rules.LINE * usual, usual, power)
-    lags = np.fft.irfft(power)[: ORDER + 1] / samples
+    lags = np.fft.irfft(power)[: rules.ORDER + 1] / samples
     return float(np.sqrt(lags[0])), lags
 
 
@@ -252,7 +247,7 @@ def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.nd
     """
     if not raw:
         return [], []
-    length = min(PIECE, *(part.size for part in raw))
+    length = min(rules.PIECE, *(part.size for part in raw))
     sizes = [np.std(_pieces(part, length), axis=1) for part in raw]
     typical = np.median(np.concatenate(sizes))
     kept_raw, kept_smooth = [], []

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any
 
-CORES = 2
-PATIENCE = 0.05  # s, within which a waiting thread handles an interrupt
-_idle = threading.Semaphore(CORES - 1)  # idle cores
+from emps_design.discrepancy import rules
+
+_idle = threading.Semaphore(rules.CORES - 1)  # idle cores
 _here = threading.local()  # ``ended``: whether the caller of this thread was interrupted
 
 
@@ -74,6 +74,6 @@ def _wait(helpers: list[threading.Thread]) -> None:
     try:
         for helper in helpers:
             while helper.is_alive():
-                helper.join(PATIENCE)
+                helper.join(rules.PATIENCE)
     finally:
         _idle.acquire()

@@ -22,16 +22,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Whitening
 from emps_design.discrepancy.problem import Hypothesis, Problem
-from emps_design.discrepancy.records import (
-    CUTOFF_HZ,
-    FEWEST_STROKES,
-    PARTS,
-    START_UP,
-    Split,
-    find_lap,
-    find_strokes,
-    split,
-)
+from emps_design.discrepancy.records import Split, find_lap, find_strokes, split
 from emps_design.discrepancy.words import filled, worded
 from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
@@ -39,18 +30,13 @@ from emps_design.effects.sizes import sized, sizes
 from emps_design.errors import InputError, RecordError
 from emps_design.identification.excitation import backward_time, one_direction
 from emps_design.identification.model import lumped
+from emps_design.identification.proposals import FEWEST_STROKES
 from emps_design.laws import get_law, law_of, recorded_gains, unit_of
 from emps_design.messages import Message, grave, warning
 from emps_design.records import Record
 from emps_design.records.clock import same_period
 from emps_design.units import Units
 
-BLOCK_TIME = 0.02  # s, of the means that show structure
-
-SLOWEST_PERIOD = 0.8 * 0.5 / CUTOFF_HZ  # s, longest for the filters of the missing force
-SLOW = 0.02  # m/s, below which Stribeck friction is seen
-MEMORY = 1700  # bytes for each sample, measured on an hour at 1 kHz
-MOST_SAMPLES = 1_000_000  # 1.7 GB
 ONE_SPEED = (
     "one speed, one way, and a controller that is not known: {mass} and friction stay as the axis file says, and of "
     "the effects only {forces} with a place or a time are looked for. All others would pass for these, such as "
@@ -58,9 +44,6 @@ ONE_SPEED = (
 )
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
-LAPS = 3  # from which on one is held out
-STROKES = 6  # from which on some are held out of a record without laps
-KEPT = 1 / 3  # of them
 
 Interval = tuple[float, float]
 
@@ -93,23 +76,23 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
     """
     limit = axis.drive.command_limit
     gap = record.u - law_voltage(record, axis)
-    gap[:START_UP] = 0.0
+    gap[: rules.START_UP] = 0.0
     free = np.abs(record.u) < rules.AT_LIMIT * limit
     centre = np.median(np.abs(gap[free]))
     swing = float(np.std(record.u))
     low = float(np.quantile(np.abs(gap[free] - np.median(gap[free])), 0.25))
-    if min(centre, low) > rules.LAW_HOLDS * swing:
+    if min(centre, low) > rules.SLIGHT * swing:
         raise InputError(_wrong_law(record, axis, swing, float(np.std(gap))))
     noise = _noise(gap)
-    width = max(2, round(BLOCK_TIME / record.period))
+    width = max(2, round(rules.BLOCK_TIME / record.period))
     blocks = gap[: gap.size // width * width].reshape(-1, width).mean(axis=1)
-    varying = float(np.var(blocks)) * width > rules.LAW_STRUCTURE * noise**2
-    if not (varying and float(np.std(blocks)) > rules.LAW_VISIBLE * swing):
+    varying = float(np.var(blocks)) * width > rules.PLAIN * noise**2
+    if not (varying and float(np.std(blocks)) > rules.BARELY * swing):
         return LawCheck(gap, noise, False)
     proposed = [(effect, propose_command(effect, record, gap)) for effect in library if effect.channel == "controller"]
     additions = [(effect, values) for effect, values in proposed if values is not None]
     remaining = [float(np.var(gap - command_of(*addition, record))) for addition in additions]
-    if not remaining or min(remaining) > (1 - rules.LAW_NAMED) * float(np.var(gap)):
+    if not remaining or min(remaining) > (1 - rules.NEARLY_ALL) * float(np.var(gap)):
         return LawCheck(gap, noise, True)
     return LawCheck(gap, noise, True, additions[remaining.index(min(remaining))])
 
@@ -171,13 +154,13 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
     )
     kind = get_law(axis.controller.kind)
     if kind.propose is not None:
-        wanted = np.where(np.arange(len(record)) < START_UP, np.nan, record.u)
+        wanted = np.where(np.arange(len(record)) < rules.START_UP, np.nan, record.u)
         followed = law_of(axis, record.period, record.extra).followed(record)
         proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
         if proposed is not None:
             free = axis.replace(controller=proposed, drive={"command_limit": NO_LIMIT})
-            miss_of_fit = float(np.std((record.u - law_voltage(record, free))[START_UP:]))
-            if miss_of_fit < rules.LAW_HOLDS * swing:
+            miss_of_fit = float(np.std((record.u - law_voltage(record, free))[rules.START_UP :]))
+            if miss_of_fit < rules.SLIGHT * swing:
                 fields = kind.table.model_fields
                 fitting = " and ".join(
                     f"{name} = {v:.5g} {units.unit(unit_of(fields[name]))}" for name, v in proposed.items()
@@ -197,10 +180,11 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
     ``along_motion``: nothing is simulated, so that any period will do, and no reference is needed.
     """
     samples = sum(map(len, records))
-    if samples > MOST_SAMPLES:
+    if samples > rules.MOST_SAMPLES:
         raise RecordError(
-            f"{', '.join(record.name for record in records)}: found {samples} samples, expected at most {MOST_SAMPLES} "
-            f"in all: a diagnosis takes {MEMORY / 1e3:g} kB of memory for each; cut the records to what tells most"
+            f"{', '.join(record.name for record in records)}: found {samples} samples, expected at most "
+            f"{rules.MOST_SAMPLES} in all: a diagnosis takes 1.7 kB of memory for each; "
+            "cut the records to what tells most"
         )
     gaps: list[Message] = []
     for record in records:
@@ -210,10 +194,11 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected the axis's "
                 f"{1e3 * period:g} ms; records and axis must come from one drive"
             )
-        if record.period > SLOWEST_PERIOD and not along_motion:
+        if record.period > rules.SLOWEST_PERIOD and not along_motion:
             raise RecordError(
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
-                f"{1e3 * SLOWEST_PERIOD:g} ms: {axis.units.word('forces')} are looked at up to {CUTOFF_HZ:g} Hz"
+                f"{1e3 * rules.SLOWEST_PERIOD:g} ms: "
+                f"{axis.units.word('forces')} are looked at up to {rules.CUTOFF_HZ:g} Hz"
             )
         if record.duration < rules.SHORTEST:
             raise RecordError(
@@ -228,10 +213,10 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
                 'without one (kind = "none") it is compared by its command'
             )
         limited = float(np.mean(np.abs(record.u) >= rules.AT_LIMIT * axis.drive.command_limit))
-        if limited > rules.SATURATED:
+        if limited > rules.HALF:
             raise RecordError(
                 f"{record.name}: {100 * limited:.0f} % of the samples are at the {axis.units.word('voltage')} limit, "
-                f"expected less than {100 * rules.SATURATED:.0f} %; lower speed or acceleration"
+                f"expected less than {100 * rules.HALF:.0f} %; lower speed or acceleration"
             )
         own = (*record.contradictions, *_not_excited(record, axis.units))
         gaps += [message.of(record.name) for message in own]
@@ -272,7 +257,7 @@ def same_run(record: Record, other: Record) -> bool:
 def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
     """Whether ``record`` goes one way at about one speed in all the samples ``used`` (n,)."""
     v = np.gradient(record.q, record.period)[used]
-    return bool(np.std(v) < rules.ONE_SPEED * abs(np.mean(v)))
+    return bool(np.std(v) < rules.QUARTER * abs(np.mean(v)))
 
 
 def identifiable_at_one_speed(effect: Effect) -> bool:
@@ -291,10 +276,10 @@ def _not_excited(record: Record, units: Units) -> list[Message]:
         text = "one speed only, so viscous friction and its curvature cannot be told from Coulomb friction"
         gaps.append(grave("one-speed", text))
     moving = np.abs(v) > 0
-    if moving.any() and float(np.mean(np.abs(v[moving]) < SLOW)) < 0.005:
-        slow = units.quantity(SLOW, "mm/s", ".2g")
+    if moving.any() and float(np.mean(np.abs(v[moving]) < rules.SLOW)) < 0.005:
+        slow = units.quantity(rules.SLOW, "mm/s", ".2g")
         text = f"hardly any motion below {slow}, so Stribeck friction is seen at reversals only"
-        gaps.append(warning("no-slow-motion", text, speed=SLOW))
+        gaps.append(warning("no-slow-motion", text, speed=rules.SLOW))
     return gaps
 
 
@@ -362,15 +347,15 @@ fitted; give another record as `holdout`.'
         begin, end = (int(i) for i in np.searchsorted(record.t, fit_time))
     lap, strokes = find_lap(record.q_ref), find_strokes(record.q_ref, record.period)
     inside = [(start, stop) for start, stop in strokes if start >= begin and stop <= end]
-    if lap and end - begin >= LAPS * lap - START_UP:
+    if lap and end - begin >= rules.LAPS * lap - rules.START_UP:
         start, stop, what = begin, begin + lap, "the first lap"
-    elif lap or len(inside) < STROKES:
+    elif lap or len(inside) < 2 * FEWEST_STROKES:
         return Confirming(f"{record.name} has {_strokes(len(inside))} and does not repeat three times", "none")
     else:
-        count = int(KEPT * len(inside))
+        count = int(rules.THIRD * len(inside))
         start, stop, what = inside[-count][0], end, f"the last {count} of {_strokes(len(inside))}"
     remaining = end - begin - (stop - start)
-    if stop - start < START_UP + rules.FEWEST_TO_CONFIRM or remaining < rules.FEWEST_TO_FIT + rules.FEWEST_TO_SELECT:
+    if stop - start < rules.START_UP + rules.FEWEST or remaining < rules.FEWEST + rules.FEWEST_TO_SELECT:
         return Confirming(f"{record.name} has {end - begin} samples to fit", "none")
     time = float(record.t[start]), float(record.t[stop - 1]) + 0.5 * record.period
     shown = f"{time[0]:.4g} to {time[0] + (stop - start) * record.period:.4g} s"
@@ -482,7 +467,7 @@ def prepare(
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
     held: tuple[int, ...] = ()
     # A motor that stutters forward has two signs of friction, however far it gets in one direction.
-    stutters = any(backward_time(record) > rules.BACKWARD for record in searched)
+    stutters = any(backward_time(record) > rules.SLIGHT for record in searched)
     direction = 0 if stutters else one_direction(searched)
     if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
@@ -510,10 +495,9 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
     allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "`fit_time`") for r in records]
     if confirm_time is not None:
         kept = between(records[0], confirm_time, "`confirm_time`")
-        if kept.sum() < rules.FEWEST_TO_CONFIRM:
+        if kept.sum() < rules.FEWEST:
             raise InputError(
-                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least "
-                f"{rules.FEWEST_TO_CONFIRM}"
+                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least {rules.FEWEST}"
             )
         allowed[0] &= ~kept
     there = [
@@ -524,12 +508,12 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
     few = sum(there) < FEWEST_STROKES
     splits: list[Split] = []
     for record, mask in zip(records, allowed, strict=True):
-        splits.append(split(record, mask, sum(len(made.strokes) for made in splits), PARTS if few else 1))
+        splits.append(split(record, mask, sum(len(made.strokes) for made in splits), rules.PARTS if few else 1))
     fits, selects, used = (int(sum(getattr(s, part).sum() for s in splits)) for part in ("fit", "select", "used"))
-    if fits < rules.FEWEST_TO_FIT or selects < rules.FEWEST_TO_SELECT:
+    if fits < rules.FEWEST or selects < rules.FEWEST_TO_SELECT:
         raise InputError(
             f"{', '.join(record.name for record in records)}: found {used} samples to fit, in "
-            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {rules.FEWEST_TO_FIT} to fit and "
+            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {rules.FEWEST} to fit and "
             f"{rules.FEWEST_TO_SELECT} others to select from: record longer (identify needs less)"
         )
     return tuple(splits)

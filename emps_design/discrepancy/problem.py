@@ -15,20 +15,17 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Whitening
-from emps_design.discrepancy.records import START_UP, Recorded, Split, drive, in_followed_band
+from emps_design.discrepancy.records import Recorded, Split, drive, in_followed_band
 from emps_design.effects.effect import MASS
 from emps_design.laws import law_of
 from emps_design.records import Record
 from emps_design.simulation import Plant, Run
 from emps_design.simulation.run import ClosedLoopRun
 
-MOST = 128e6  # bytes of residuals in the cache, most recently used
-
 OPEN_LOOP = ("disturbance", "q0", "supply", "enable")  # drive of a record without the law and its reference
-LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
-RANK = 1e-6  # of the largest singular value of several functions, below which a combination counts as zero
 
 
 class Remembered:
@@ -63,7 +60,7 @@ class Remembered:
                 array.flags.writeable = False
             entry = objects, arrays
         self._kept[key] = entry
-        most = MOST // max(1, sum(array.nbytes for array in entry[1]))
+        most = rules.CACHE // max(1, sum(array.nbytes for array in entry[1]))
         while len(self._kept) > most:
             self._kept.popitem(last=False)
         return entry[1]
@@ -217,7 +214,7 @@ class Hypothesis:
             drive["law"] = law_of(axis, measured.period, measured.extra)
         plant = Plant(axis, list(zip(self.model.effects, parameters, strict=True)))
         baseline = self.model.baseline
-        return plant.closed_loop(ClosedLoopRun(**drive, baseline=baseline, quantise=False, tolerance=LOOSE))
+        return plant.closed_loop(ClosedLoopRun(**drive, baseline=baseline, quantise=False, tolerance=rules.LOOSE))
 
     def driven(self, record: int) -> dict[str, Any]:
         """Keywords of :meth:`simulate` with the initial state and the drive of record number ``record``."""
@@ -251,9 +248,16 @@ class Hypothesis:
             plant = Plant(problem.axis, list(zip(self.model.effects, self.model.parameters(number), strict=True)))
             how = {key: value for key, value in problem.recorded.starts[number].items() if key in OPEN_LOOP}
             run = plant.open_loop(
-                record.u, period=record.period, baseline=self.model.baseline, quantise=False, tolerance=LOOSE, **how
+                record.u,
+                period=record.period,
+                baseline=self.model.baseline,
+                quantise=False,
+                tolerance=rules.LOOSE,
+                **how,
             )
-            missed.append(in_followed_band(np.gradient(record.q - run.q, record.period), record, band_hz)[START_UP:])
+            missed.append(
+                in_followed_band(np.gradient(record.q - run.q, record.period), record, band_hz)[rules.START_UP :]
+            )
         return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))
 
     def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
@@ -308,4 +312,4 @@ def of_unit_length(columns: np.ndarray) -> np.ndarray:
 def orthonormal(columns: np.ndarray) -> np.ndarray:
     """An orthonormal basis (n, r) of ``columns`` (n, k); r is their rank, 0 where all are zero."""
     basis, singular, _ = np.linalg.svd(of_unit_length(columns), full_matrices=False)
-    return basis[:, singular > RANK * singular.max(initial=0.0)]
+    return basis[:, singular > rules.NOTHING * singular.max(initial=0.0)]

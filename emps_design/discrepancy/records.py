@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
+from emps_design.discrepancy import rules
 from emps_design.effects import Motion
 from emps_design.effects.sizes import TURN
 from emps_design.identification.filters import low_pass, motion
@@ -26,21 +27,6 @@ from emps_design.laws.library import position_pd
 from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.simulation.run import commands_of, driven_by
-
-IN_BAND = 0.9  # of the power of a command
-BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
-LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
-FAST_SAMPLES = 12  # the same where the command itself is that fast
-COMPARED = 1.3  # of that bandwidth, up to which forces are compared: beyond it the law amplifies the encoder's noise
-POSITION_SHARE = 0.25  # of the velocity loop's bandwidth, for the position loop around it
-
-CUTOFF_HZ = 60.0  # of the missing force where the command is no faster
-FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
-NOISY = 0.03  # of an acceleration: largest encoder noise in the band of the motion
-
-START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
-FEWEST_STROKES, PARTS = 3, 4  # with fewer strokes in all records, each is split into so many parts
-MOST_TURNS = 12  # largest number of pieces that stand for the strokes of a shaft turning one way
 
 
 def band(record: Record) -> float:
@@ -51,23 +37,23 @@ def band(record: Record) -> float:
     72
     """
     power = np.cumsum(np.abs(np.fft.rfft(record.u - record.u.mean())) ** 2)
-    return float(np.searchsorted(power, IN_BAND * power[-1])) / (len(record) * record.period)
+    return float(np.searchsorted(power, rules.NEARLY_ALL * power[-1])) / (len(record) * record.period)
 
 
 def bandwidth(record: Record, band_hz: float) -> float:
     """Bandwidth [Hz] of the velocity loop that follows ``record``, whose :func:`band` is ``band_hz``."""
-    usual = min(BANDWIDTH_HZ, 1 / (LEAST_SAMPLES * record.period))
+    usual = min(rules.BANDWIDTH_HZ, 1 / (rules.LEAST_SAMPLES * record.period))
     return max(usual, min(band_hz, _fastest(record)))
 
 
 def _fastest(record: Record) -> float:
     """The highest bandwidth [Hz] at which ``record`` can be followed by a law that is computed once a sample."""
-    return 1 / (FAST_SAMPLES * record.period)
+    return 1 / (rules.FAST_SAMPLES * record.period)
 
 
 def in_followed_band(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
     """The ``force`` (n,) [N] that keeps a model on ``record``, low-passed to the band of the law that follows."""
-    return low_pass(force, COMPARED * bandwidth(record, band_hz), record.period)
+    return low_pass(force, rules.COMPARED * bandwidth(record, band_hz), record.period)
 
 
 def drive(start: dict[str, Any], axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
@@ -82,7 +68,7 @@ def drive(start: dict[str, Any], axis: Axis, record: Record, mass: float, band_h
     own = bandwidth(record, band_hz)
     rate = 2 * np.pi * own  # rad/s
     moved = min(np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0), mass * _fastest(record) / own)
-    kp, kv = POSITION_SHARE * rate, moved * rate / axis.drive.gain
+    kp, kv = rules.QUARTER * rate, moved * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
     past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
     # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.
@@ -146,18 +132,18 @@ class Recorded:
 
 
 def acceleration_band(record: Record) -> float:
-    """Band [Hz] in which the encoder's noise is a small part of the acceleration, at least ``CUTOFF_HZ``.
+    """Band [Hz] in which the encoder's noise is a small part of the acceleration, at least ``rules.CUTOFF_HZ``.
 
     A missing inertia changes the response of the loop up to its bandwidth. The noise, taken as white, is the median
     size of the position above the fastest motion; impacts are motion.
     """
-    fastest = FASTEST / record.period
+    fastest = rules.FASTEST / record.period
     beyond = np.abs(record.q - low_pass(record.q, fastest, record.period))
-    noise = (np.median(beyond) / 0.6745) ** 2 / (1.0 - 2.0 * FASTEST)
+    noise = (np.median(beyond) / 0.6745) ** 2 / (1.0 - 2.0 * rules.FASTEST)
     density = 2.0 * record.period * noise * (2.0 * np.pi) ** 4  # of the acceleration over f^4 [m^2/s^4/Hz^5]
-    size = np.var(motion(record, CUTOFF_HZ).a)
-    most = (5.0 * NOISY**2 * size / max(density, 1e-300)) ** 0.2
-    return float(np.clip(most, CUTOFF_HZ, fastest))
+    size = np.var(motion(record, rules.CUTOFF_HZ).a)
+    most = (5.0 * rules.NOISY**2 * size / max(density, 1e-300)) ** 0.2
+    return float(np.clip(most, rules.CUTOFF_HZ, fastest))
 
 
 @dataclass(frozen=True)
@@ -192,9 +178,9 @@ def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, 
     """
     n = len(record)
     allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
-    allowed[:START_UP] = False
+    allowed[: rules.START_UP] = False
     # Nor after a gap, during which the model may have drifted away.
-    allowed &= np.convolve(record.in_gap, np.ones(2 * START_UP + 1), "same") < 0.5
+    allowed &= np.convolve(record.in_gap, np.ones(2 * rules.START_UP + 1), "same") < 0.5
     strokes = find_strokes(record.q_ref, record.period)
     if parts > 1:
         strokes = tuple(part for start, stop in strokes for part in _parts(record.q, start, stop, parts))
@@ -254,6 +240,6 @@ def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...
     turns = moving[1:][np.diff(direction[moving]) != 0]
     edges = [0, *(int(turn) for turn in turns), q_ref.size]
     if len(edges) == 2:
-        count = min(max(1, int(np.ptp(q_ref) / TURN)), MOST_TURNS)
+        count = min(max(1, int(np.ptp(q_ref) / TURN)), rules.MOST_TURNS)
         edges = np.linspace(0, q_ref.size, count + 1).astype(int).tolist()
     return tuple((a, b) for a, b in itertools.pairwise(edges) if b - a > 20)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.discrepancy.records import CUTOFF_HZ
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.unknown_force import SLOWEST, MissingForce, near_reversals
 from emps_design.effects import Motion
 from emps_design.effects.guesses import squares_explained, thin
@@ -219,7 +219,7 @@ def views(
     window: np.ndarray,
     floor: float,
     axis: Axis,
-    cutoff_hz: float = CUTOFF_HZ,
+    cutoff_hz: float = rules.CUTOFF_HZ,
 ) -> list[View]:
     """Residual force over each quantity it could depend on.
 

@@ -1,71 +1,131 @@
-"""Every threshold that decides on an answer, in the order of docs/theory/diagnosis.md."""
+"""Every number that a diagnosis is given, with its reason, in the order of docs/theory/diagnosis.md."""
 
 from __future__ import annotations
+
+# Shares, for all that is a part of something
+BARELY = 1e-3  # of a command, of a cost: less is not seen, and leads no further
+SLIGHT = 0.05  # of a size, a time, a gain, of the noise: less does not matter
+MINOR = 0.1  # of a force or a gain: less may be noise, is no suspect, is looked at last
+QUARTER = 0.25  # of a bandwidth, for the loop around it; of a mean speed: less deviation is one speed only
+SOME = 0.3  # of the noise in a force, of a gain where it must show again: less is none
+THIRD = 1 / 3  # of the strokes are held out; laps that agree so much better than others tell the noise
+HALF = 0.5  # of the best gain, of a number: more competes, or has moved too far
+CLEARLY_LESS = 0.7  # of what first differences of laps, or few shapes of a force, leave: second ones, more shapes pay
+MOST = 0.8  # of what changes is improvement
+NEARLY_ALL = 0.9  # of a structure explained, of a power inside its band, of a gain reached by a rival
+TWICE = 2.0  # the noise of a loop, the cost of a fit: more is loud, or another place
 
 # Records that can be judged
 SHORTEST = 2.0  # s
 STILL = 1e-4  # m, a reference that moves less is no motion
 AT_LIMIT = 0.999  # of the voltage limit, from which on a sample counts as limited
-SATURATED = 0.5  # share of samples at the voltage limit beyond which nothing can be judged
-BACKWARD = 0.05  # of the moving time against the main direction, from which on Coulomb and constant force differ
-ONE_SPEED = 0.25  # of the mean speed: with less deviation neither mass nor friction can be identified
-FEWEST_TO_FIT = 500  # samples
-FEWEST_TO_SELECT = 200  # samples
-FEWEST_TO_CONFIRM = 500  # samples
+SLOW = 0.02  # m/s, below which Stribeck friction is seen
+MOST_SAMPLES = 1_000_000  # of all records together, which take 1.7 GB of memory; of more only the beginning is searched
+SEARCHED = 150_000  # samples of such a beginning, from the first motion on
+PIECE_TIME = 10.0  # s, of the pieces of a long record whose residuals are compared
+
+# The parts of a record
+START_UP = 50  # samples left out at the start of a record: the loop's own transient, as in the published figures
+MOST_TURNS = 12  # pieces that stand for the strokes of a shaft turning one way
+PARTS = 4  # of each stroke, where there are too few strokes to hold some out
+LAPS = 3  # from which on one is held out: two others give the noise, and any two of three that agree
+FEWEST = 500  # samples to fit, and to confirm
+FEWEST_TO_SELECT = 200  # samples; also to regress a missing force on
+
+# A record that a model follows
+BANDWIDTH_HZ = 25.0  # of the velocity loop that follows; the encoder's noise, differentiated, sets the upper end
+LEAST_SAMPLES = 40  # per period of that bandwidth: with fewer the two-tap velocity loses too much phase
+FAST_SAMPLES = 12  # the same where the command itself is that fast
+COMPARED = 1.3  # of the bandwidth, up to which forces are compared: beyond it the law amplifies the encoder's noise
+
+# The missing force
+CUTOFF_HZ = 60.0  # where the command is no faster
+FASTEST = 0.4  # of the sampling rate, to which a fast command raises the cut-off
+SLOWEST_PERIOD = FASTEST / CUTOFF_HZ  # s, longest for its filters
+NOISY = 0.03  # of an acceleration: largest encoder noise in the band of the motion
 
 # The controller's law
-LAW_HOLDS = 0.05  # a law holds where it misses the voltage by less than this share of it, in the median
-LAW_STRUCTURE = 4.0  # a gap has structure when its block means vary this many times more than white noise would
-LAW_VISIBLE = 1e-3  # of the deviation of the voltage, below which block means count as no structure
-LAW_NAMED = 0.9  # share of the structure an effect must explain
+BLOCK_TIME = 0.02  # s, of these means, and of those at first sight of a record
+
+# The clock of a command, in samples
+CLOCK_RANGE = 2  # looked for to either side: a longer shift is a delay of the drive
+CLOCK_STEP = 0.1
 
 # Noise
-DRIFTS = 0.7  # of the rms of first differences between laps, below which second differences are the floor
-PUSHED = 1 / 3  # of the difference between laps: where two always agree that much better, the others were disturbed
-UNUSUAL = 2.5  # times the typical deviation of a piece, beyond which the piece is an event, not noise
+UNUSUAL = 2.5  # times the deviation of a piece, or of a sample at the floor: beyond is an event, or a burst, not noise
 LINE = 25.0  # times the usual power, beyond which a line of the spectrum is a tone
+NEIGHBOURS = 40  # lines on both sides, whose median is the usual power
+ORDER = 24  # of the autoregressive model of the noise
+PIECE = 500  # samples that structure of noise or of a residual spans: pieces, clusters, what is resampled together
+INTERVAL = (0.025, 0.975)  # quantiles
+NORMAL = 1.96  # standard deviations to either side that are such an interval
+RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on held-out strokes
+MOST_REGRESSED = 60_000  # samples of whole strokes that tell the noise, evenly thinned where there are more
+MOST_STROKES = 100  # the same
 FINER = 0.95  # of the floor: a model that leaves less than this share shows that the floor was not all noise
 
 # What chance gains
 LEVEL = 0.01  # share of healthy records on which the threshold is reached, over all candidates together
+RESAMPLES = 199  # of noise: the fewest from which a hundredth can be read
+
+# A fit
+LEAST_MASS = 0.01  # of the axis file's: with almost no mass friction dominates, and a simulation takes very long
+LOOSE = 1e5  # times the integrator's tolerance: force within 2e-3 N, a hundredth of any noise here, six times faster
+CACHE = 128e6  # bytes of residuals that are kept
+WORST = 1e12  # cost of a model that cannot be simulated; finite for a fit to step back from it
+NOTHING = 1e-6  # of a size: a number so close to its bound ended on it, a combination of functions is none
+NUDGE = 2e-4  # finite difference of a fit, in magnitudes of the parameter
+STEP = 1e-3  # the same of a sensitivity, over which play counts as smooth
+COARSE_NUDGE = 5e-3  # the same of a fit where the fine one finds no descent and structure is left, as with play
+DAMPING = 1e-3  # of the diagonal of the normal equations, at first; the least is next to nothing
+TRIALS = 6  # of one step, with more and more damping
+CONVERGED = (1e-4, 0.1)  # gain of a step, as a share of the cost and absolute, below which a descent ends
+SHORT_STEPS = 4  # of a fit that only shows whether a longer one pays
+NOISES = 3  # draws of noise on the simulated carriage
+
+# A fit with play, which makes the cost rough
+SIMPLEX = 60  # simulations of the first descent
+SPAN = 0.3  # of the logarithm of each number, the first simplex
+SURFACES = 30  # at most, one after the other
+SOUGHT = 4  # times that edge is corrected before the first surface
+CLOSER = 0.6  # of the neighbourhood is the next one where a surface led no further
+OFTEN = 4  # surfaces, after which the next neighbourhood is closer in any case
+FARTHEST = 4.0  # neighbourhoods that a step may lead away
+IN_VAIN = 5  # surfaces one after the other that led no further, though not astray: there is nothing more to find
+ALIKE = 4.0  # times the deviation of the costs on a surface, up to which a place is as good as the best
 
 # The search
-LEAST_AMPLITUDE = 0.05  # of a parameter's typical size, below which an effect is negligible
+CORES = 2  # on which fits run side by side
+PATIENCE = 0.05  # s, within which a waiting thread handles an interrupt
+PROPOSERS = 3  # records whose missing force proposes parameters; more would only repeat them
+FEW = 2  # the best that go on to a longer fit: starts of an effect, effects, shapes; effects beside an unknown force
+FINALISTS = 4  # effects of a round, or shapes of an accepted effect, that are fitted in full
+BENT_STARTS = 6  # of an effect, fitted where the gap bent the baseline
+BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
+A_FEW = len(BEAM)  # effects after which one set is kept, a kind of force looked for, and a poor search given up
+MOST_EFFECTS = 7
+IN_TURN = 3  # times that two things are estimated in turn: noise and model, a force in the loop and numbers beside it
 BENT = 20.0  # whitened cost per sample beyond which missing physics may have bent the fitted baseline
-BENT_NUMBER = 0.5  # of the larger one: a mass or friction fitted this far from the axis file's may have been bent too
 SMALLEST_GAIN = 30.0  # in whitened cost; below the chance level of a search over hundreds of shapes
-LOUD = 2.0  # gain of noise in a model, from which on the amplified samples are weighted down in a search
-WORTH_FITTING = 0.05  # of the largest first-order gain
-RIVAL = 0.5  # share of the best gain from which a set joins the beam, and an effect is fitted in full
-FAR_BEHIND = 0.1  # the same where no rival is accepted: the best ones may only imitate the missing effect
 MAY_RIVAL = 0.6  # of either share: gain of the first step of a short fit from which the fit continues
-CLOSE_RIVAL = 0.9  # of the gain of an effect, from which on a rival in its place is fitted to convergence
-LEAST_EXPLAINED = 0.4  # of the excess over noise, below which a search ends after ENOUGH_ROUNDS
-ENOUGH_ROUNDS = 3
-IN_REACH = 1.5  # times the cost of a fit: another shape that leaves more after its first steps is given up
-CREDIBLE = 5  # effects up to which the search uses its slower methods; more effects imitate something unknown
+LEAST_EXPLAINED = 0.4  # of the excess over noise, below which a search ends after a few effects
+IN_REACH = 1.5  # times the cost of a fit: another shape, or place, that leaves more is out of reach
+CREDIBLE = 5  # effects up to which slower methods are used, and detours taken: more imitate something unknown
 STILL_PAYS = 0.005  # of the cost: a fit that gains less has converged
 WORTH_DESCRIBING = 0.002  # of the cost: gain that a further effect of the closest model must reach
-ON_BOUND = 1e-6  # of a number's magnitude: a parameter this close to its bound ended on it
 
 # What is accepted
 WORTH = 0.01  # of the whitened cost that a finding must gain: half a percent of the residual force
 WORTH_AT_FLOOR = 0.03  # the same where only noise is left to explain
-AUDIBLE = 0.3  # of the floor: amplitudes of force below it are not findings
-SEEN_AGAIN = 0.3  # of the gain per sample on the fitting part must be there on the selecting part
-STROKES = 0.8  # of what the selecting strokes change must be improvement
 CHANCE = 2.0  # standard deviations of a stroke's cost
 BURST = 5.0  # standard deviations at which a sample's cost is capped
-BURST_AT_FLOOR = 2.5  # the same where only noise is left to explain: an effect then shows a little in all samples
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
 AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
 
 # What the confirming record says
 ASKED_APART = 0.3  # deviation of a share from 1, beyond which a record refutes the effect
-HALF = 0.5  # mean share of all weightings, below which an effect is withdrawn
 SHARE_KNOWN = 0.1  # deviation of a share, beyond which an effect beside something unknown does not stand
 SURE = 3.0  # standard deviations
-EXERCISED = 0.05  # standard deviations of the noise: rms change by an effect, below which a record does not exercise it
 BETTER_PROPOSAL = 0.98  # of the cost with the old per-record parameters, which a proposal for them must stay below
 BETTER_FIT = 0.995  # the same for the fit that follows
 
@@ -79,9 +139,7 @@ LOST = 0.05  # of the gain of a model; where refuted effects contributed more, t
 MOST_EQUIVALENTS = 3
 EQUIVALENT = 0.03  # of the gain of a finding: a rival this close is an equivalent where structure is left
 OF_A_KIND = 0.5  # of the excess of the baseline, which a kind of unknown force must explain
-PLAIN = 4.0  # times the whitened cost of noise: excess from which an unknown force of one kind may end the search
-FEW_BESIDE = 2  # effects beside it, at most, with which it ends the search
-SHARPER = 0.7  # of the excess left by a kind of unknown force, which finer shapes must stay below
+PLAIN = 4.0  # times what noise would give: structure of a law, excess from which one kind of force may end the search
 DEPENDS = 0.2  # of the mean square of the residual, from which a variable that predicts it is named
 OFF = 0.005  # of a parameter's magnitude: relevant error of the axis file
 OFF_SURELY = 3.0  # standard deviations: significant error of the axis file

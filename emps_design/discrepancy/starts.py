@@ -28,13 +28,6 @@ from emps_design.errors import SimulationError
 from emps_design.observer import motor_force
 from emps_design.quantities import inside
 
-PROPOSERS = 3  # records whose missing force proposes parameters; more would only repeat them
-
-BLOCK_TIME = 8e-3  # s, of the means for the first suspects
-LEAST = 0.1  # share of the residual from which an effect is a suspect
-MOST = 2  # suspects shown
-FEWEST = 100  # samples of a record that are needed
-
 
 @dataclass(frozen=True)
 class Start:
@@ -107,7 +100,7 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
         with suppress(SimulationError):
             change = absorbed.free(trial.residual("fit") - base)
             size = float(np.linalg.norm(change))
-            if size <= (rules.EXERCISED * np.sqrt(base.size) if current.problem.states else 0.0):
+            if size <= (rules.SLIGHT * np.sqrt(base.size) if current.problem.states else 0.0):
                 return []  # its change may be a function of the state
             signature = change / size
             # The residual falls when the signature points against it; an effect of the wrong sign gains nothing.
@@ -136,7 +129,7 @@ def either_baseline(fitted: Hypothesis) -> list[Hypothesis]:
     """
     alternative = fitted.with_axis_baseline()
     numbers = np.array([fitted.model.baseline, alternative.model.baseline])[:, [MASS, VISCOUS, COULOMB]]
-    apart = np.any(np.ptp(numbers, axis=0) > rules.BENT_NUMBER * numbers.max(axis=0))
+    apart = np.any(np.ptp(numbers, axis=0) > rules.HALF * numbers.max(axis=0))
     return [fitted, alternative] if apart else [fitted]
 
 
@@ -160,7 +153,7 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
     own = np.array([p.per_record for p in effect.parameters])
     rows: list[np.ndarray] = []
     missed = [np.std(force) for force in problem.pick(tuple(gap.force for gap in missing), "used")]
-    for proposer in sorted(np.argsort(missed)[::-1][:PROPOSERS]):
+    for proposer in sorted(np.argsort(missed)[::-1][: rules.PROPOSERS]):
         for index, shape in enumerate(tables[proposer]):
             if shape is None:
                 continue
@@ -187,7 +180,7 @@ def _complete(
     Beside ``states`` (n, k), which an unknown force may explain. None where the regression is impossible.
     """
     absent = [p.name for p in effect.parameters if p.name not in shape]
-    if absent and effect.regressor is not None and missing.away.sum() > 100:
+    if absent and effect.regressor is not None and missing.away.sum() > rules.FEWEST_TO_SELECT:
         columns = effect.regressor(
             missing.motion, {**{p.name: 0.0 for p in effect.parameters}, **shape}, model.baseline
         )
@@ -210,7 +203,7 @@ def _complete(
         if p.linear and p.unit == "N":  # a column near zero on these samples does not limit its amplitude
             value = min(max(value, -strongest), strongest)
         # A signature needs some of the effect, even where the regression wants none.
-        least = rules.LEAST_AMPLITUDE * p.scale if p.linear and p.scale and not p.per_record else 0.0
+        least = rules.SLIGHT * p.scale if p.linear and p.scale and not p.per_record else 0.0
         values.append(value if abs(value) >= least else float(np.copysign(least, value)))
     return np.array(values)
 
@@ -225,7 +218,7 @@ def at_first_sight(hypothesis: Hypothesis, library: tuple[Effect, ...]) -> dict[
     explained, total = dict.fromkeys((effect.label for effect in quick), 0.0), 0.0
     for missing in _of_blocks(hypothesis):
         motion, index = missing.motion, thin(missing.away)
-        if index.size <= FEWEST:
+        if index.size <= rules.FEWEST_TO_SELECT:
             continue
         residual, basis = absorb(missing.force, motion.v, motion.a, index)
         total += float(residual @ residual)
@@ -242,10 +235,10 @@ def at_first_sight(hypothesis: Hypothesis, library: tuple[Effect, ...]) -> dict[
 
 
 def _of_blocks(hypothesis: Hypothesis) -> list[MissingForce]:
-    """The missing force of a model as means over blocks of ``BLOCK_TIME``, one per record."""
+    """The missing force of a model as means over blocks of ``rules.BLOCK_TIME``, one per record."""
     problem, baseline, gaps = hypothesis.problem, hypothesis.model.baseline, []
     for record, run, split in zip(problem.records, hypothesis.runs(), problem.splits, strict=True):
-        size = max(1, round(BLOCK_TIME / record.period))
+        size = max(1, round(rules.BLOCK_TIME / record.period))
         signals = record.t, record.q, run.q, motor_force(problem.axis, record), run.force, record.u, split.used
         t, q, q_s, force, predicted, u, used = (_means(signal, size) for signal in signals)
         period = size * record.period
@@ -278,6 +271,8 @@ def suspects_text(shares: dict[str, float]) -> str:
     >>> suspects_text({"Backlash": 0.3, "Gravity": 0.02, "End stop": 0.41})
     '; suspects: end stop 41 %, backlash 30 %'
     """
-    ranked = sorted(((share, label) for label, share in shares.items() if share >= LEAST), reverse=True)[:MOST]
+    ranked = sorted(((share, label) for label, share in shares.items() if share >= rules.MINOR), reverse=True)[
+        : rules.FEW
+    ]
     named = ", ".join(f"{inside(label)} {100 * min(share, 1.0):.0f} %" for share, label in ranked)
     return f"; suspects: {named}" if named else ""

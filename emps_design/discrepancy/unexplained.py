@@ -10,7 +10,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import force_rms
-from emps_design.discrepancy.calibration import Calibration
+from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import Share
 from emps_design.discrepancy.gap import most_missed
 from emps_design.discrepancy.preparation import HeldOut
@@ -44,9 +44,9 @@ FROM_THE_LAW = "by which the command differs from the controller's law"
 WIDTH = 0.1  # of a frequency, within which its line counts
 
 
-def calibration_in_words(calibration: Calibration) -> str:
+def calibration_in_words(search: Outcome) -> str:
     """The gain that a finding needed, and its origin, as text."""
-    healthy, runs = calibration.healthy, calibration.healthy.largest.size
+    healthy, runs = search.healthy, search.healthy.largest.size
     level = max(rules.LEVEL, 1 / (runs + 1))
     made = f"{runs} simulated healthy records, each searched like this one"
     if not healthy.searched:
@@ -54,13 +54,13 @@ def calibration_in_words(calibration: Calibration) -> str:
     return (
         f"A finding must gain more than {healthy.threshold:.1f} in whitened cost, the largest gain of any "
         f"candidate in {100 * level:.2g} % of {made}, and more than {100 * rules.WORTH:g} % of the cost "
-        f"({100 * rules.WORTH_AT_FLOOR:g} % where it is noise already); the noise is {calibration.floor.source}."
+        f"({100 * rules.WORTH_AT_FLOOR:g} % where it is noise already); the noise is {search.floor.source}."
     )
 
 
 def warnings(validation: Validation) -> list[Message]:
     """Messages on everything that limits the verdict."""
-    preparation = validation.outcome.calibration.preparation
+    preparation = validation.outcome.preparation
     remarks = [*preparation.warnings, *validation.outcome.warnings, *_limits(validation)]
     if preparation.held_out is not None:
         remarks += _of_holdout(validation, preparation.held_out)
@@ -89,7 +89,7 @@ def earlier_instants(validation: Validation, index: int) -> list[Message]:
 
     Per-record parameters were fitted again on the part held out, and kept where that was not clearly better.
     """
-    kept, held_out = validation.outcome.calibration.preparation.confirming, validation.held_out
+    kept, held_out = validation.outcome.preparation.confirming, validation.held_out
     effect = validation.extended.model.effects[index]
     if kept.chosen != "kept" or kept.time is None or held_out is None or effect.name not in held_out.extended.names:
         return []
@@ -109,8 +109,8 @@ def earlier_instants(validation: Validation, index: int) -> list[Message]:
 
 
 def _limits(validation: Validation) -> list[Message]:
-    calibration, extended = validation.outcome.calibration, validation.extended
-    floor, units = calibration.floor, extended.problem.axis.units
+    outcome, extended = validation.outcome, validation.extended
+    floor, units = outcome.floor, extended.problem.axis.units
     remarks = [warning("follows-motion", filled(FOLLOWED, units))] if extended.problem.follows else []
     left = units.quantity(force_rms(extended), "N", rounded)
     if not floor.from_laps:
@@ -119,7 +119,7 @@ def _limits(validation: Validation) -> list[Message]:
             "from stroke to stroke, would pass for it"
         )
         remarks.append(warning("noise-without-laps", text))
-    if validation.verdict in ("named", "ambiguous") and calibration.judge.leaves_structure(extended):
+    if validation.verdict in ("named", "ambiguous") and outcome.judge.leaves_structure(extended):
         text = (
             f"structure remains after the last finding: {left} where noise is "
             f"{units.quantity(floor.force, 'N', rounded)}; no further effect of the library is clear enough to name"
@@ -132,7 +132,7 @@ def _limits(validation: Validation) -> list[Message]:
             f"they leave {left}, where plain least squares would bend them to leave {least}"
         )
         remarks.append(warning("robust-estimates", text))
-    if calibration.preparation.unexplained_law:
+    if outcome.preparation.unexplained_law:
         text = "the controller's law has a gap that no effect explains, taken as known: see u minus the law"
         remarks.append(warning("law-gap", text))
     return remarks
@@ -176,7 +176,7 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     explains it, "" where unknown, and ``kind_leaves`` [N] the residual with it, noise included. ``law_gap`` [V] is the
     unexplained difference between the command and the controller's law.
     """
-    floor, held_out = validation.outcome.calibration.floor.force, validation.held_out
+    floor, held_out = validation.outcome.floor.force, validation.held_out
     shown = _where_it_shows(validation)
     # Confirming data without the cause, such as a push in training alone, say nothing about it.
     judged = validation.train if held_out is None or held_out.remaining_force <= rules.QUIET * floor else held_out
@@ -198,7 +198,7 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     text = (
         f"{units.quantity(remaining, 'N', '.2g')} rms over the noise{place}, {100 * share:.0f} % of the gap; {depends}"
     )
-    laws = [law for law in validation.outcome.calibration.preparation.laws if law.unexplained]
+    laws = [law for law in validation.outcome.preparation.laws if law.unexplained]
     law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
     kind_leaves = {"kind_leaves": validation.kind_leaves} if validation.kind else {}
     if laws:
@@ -230,7 +230,7 @@ def like(kind: str, leaves: float, units: Units) -> str:
 
 def _where_it_shows(validation: Validation) -> Hypothesis:
     """The extended model on the training records, or on the confirming data where only noise is left of the first."""
-    data, held_out = validation.outcome.calibration.preparation.held_out, validation.held_out
+    data, held_out = validation.outcome.preparation.held_out, validation.held_out
     if data is None or held_out is None or not validation.training_is_quiet:
         return validation.extended
     return Hypothesis(data.problem, held_out.extended)
@@ -241,7 +241,7 @@ def predicted(validation: Validation, confirming: bool = True) -> dict[str, floa
 
     Fitted to the training records and judged on the ``confirming`` data; without, on the selecting strokes.
     """
-    extended, data = validation.extended, validation.outcome.calibration.preparation.held_out
+    extended, data = validation.extended, validation.outcome.preparation.held_out
     missing = missing_force(extended)
     used, judged = (extended.problem.masks(part) for part in ("fit", "select"))
     known, new, there = missing, missing, judged

@@ -21,9 +21,9 @@ from functools import partial
 
 import numpy as np
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.parallel import side_by_side
-from emps_design.discrepancy.problem import RANK, Hypothesis
-from emps_design.discrepancy.records import CUTOFF_HZ, FASTEST
+from emps_design.discrepancy.problem import Hypothesis
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
 from emps_design.errors import SimulationError
@@ -60,12 +60,12 @@ class MissingForce:
 def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tuple[MissingForce, ...]:
     """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase.
 
-    By default at ``CUTOFF_HZ``, or at twice the band of the command where that is faster.
+    By default at ``rules.CUTOFF_HZ``, or at twice the band of the command where that is faster.
     """
     problem, baseline = hypothesis.problem, hypothesis.model.baseline
     gain, bands, result = problem.axis.drive.gain, problem.recorded.bands, []
     for record, run, split, band in zip(problem.records, hypothesis.runs(), problem.splits, bands, strict=True):
-        cut = cutoff_hz or max(CUTOFF_HZ, min(2.0 * band, FASTEST / record.period))
+        cut = cutoff_hz or max(rules.CUTOFF_HZ, min(2.0 * band, rules.FASTEST / record.period))
         share = motor_share(problem.axis, record)
         acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
         (measured, acted), (simulated, predicted) = side_by_side(
@@ -274,7 +274,7 @@ def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     columns = _columns(hypothesis, kind)
     innovations, answers = (problem.whiten(x) for x in (hypothesis.residuals(), _answers(hypothesis, columns)))
     shares = [
-        np.linalg.lstsq(answer[used], wanted[used], rcond=RANK)[0]
+        np.linalg.lstsq(answer[used], wanted[used], rcond=rules.NOTHING)[0]
         for answer, wanted, used in zip(answers, innovations, problem.masks("used"), strict=True)
     ]
     forces = [column @ share for column, share in zip(columns, shares, strict=True)]

@@ -87,8 +87,8 @@ def found_beside_kind(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
     with suppress(SimulationError):
         kind = force.kind.with_baseline()
         there = acting(_on(data, known, force.fitted), kind)
-        beside = _standing(force.outcome, force.fitted, there, data)
-        start = beside.fitted if beside.names else force.outcome.path[0]
+        beside = _standing(force.search, force.fitted, there, data)
+        start = beside.fitted if beside.names else force.search.path[0]
         beside = replace(beside, fitted=_in_the_loop(start, force.kind))
         after = (beside.fitted, evaluate(acting(_on(data, there, beside.fitted), kind)))
         if all(map(next_to_nothing, before, after)):
@@ -106,10 +106,10 @@ def _in_the_loop(fitted: Fit, kind: Kind) -> Fit:
 
 def found_beside_state(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
     """The effects that a second search finds beside the state and ``data`` confirm; None without any."""
-    again = search_beside(outcome.calibration, beside_state(outcome.calibration.baseline))
+    again = search_beside(outcome, beside_state(outcome.baseline))
     if again.best.model.names == outcome.path[0].model.names:
         return None
-    fitted = again.calibration.judge.refitted(again.best)
+    fitted = again.judge.refitted(again.best)
     beside = _standing(again, fitted, beside_state(_known_on(data, outcome)), data)
     return beside if beside.names else None
 
@@ -203,7 +203,7 @@ class Validation:
     @property
     def training_is_quiet(self) -> bool:
         """Whether the extended model leaves only noise on the training records."""
-        return self.train.gap.extended <= rules.QUIET * self.outcome.calibration.floor.force
+        return self.train.gap.extended <= rules.QUIET * self.outcome.floor.force
 
     def beside_something_unknown(self) -> Validation:
         """The same findings with the verdict that something else is missing, as data not searched show."""
@@ -240,16 +240,15 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
     A search that ended early at an unknown force is finished where these data do not confirm the force, or no effect
     can be named beside it.
     """
-    calibration = outcome.calibration
-    problem, data = calibration.baseline.problem, calibration.preparation.held_out
+    problem, data = outcome.baseline.problem, outcome.preparation.held_out
     force = None
     if data is not None:
         data = data.with_whitening(problem.whitening)
         force = found_beside_kind(outcome, data)
     if outcome.ended_early and (force is None or not force.is_an_answer):
         outcome = replace(finish_search(outcome, progress), of_a_kind=None)
-    start = fit(calibration.baseline, part="used")
-    searched = calibration.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
+    start = fit(outcome.baseline, part="used")
+    searched = outcome.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
     answer, share, left_over = _all_or_nothing(outcome, data, start, searched, force)
     if left_over or outcome.ended_early:
         answer = _effect_by_effect(outcome, data, searched, answer, force)
@@ -306,8 +305,7 @@ def _all_or_nothing(
     ``start`` is the baseline. Also returns the closed share of the gap, and whether so much is left, or explained by an
     unknown ``force``, that each effect must stand on its own evidence.
     """
-    calibration, extended = outcome.calibration, searched
-    judge, floor, lost = calibration.judge, calibration.floor.force, 0.0
+    judge, floor, lost, extended = outcome.judge, outcome.floor.force, 0.0, searched
     shares: list[Share] = []
     refuted: tuple[Share, ...] = ()
     if data is not None:
@@ -331,7 +329,7 @@ def _all_or_nothing(
     nothing_yet = outcome.interrupted and not extended.model.names
     if nothing_yet or forgotten or doubtful:
         verdict = "unnamed"
-    if calibration.preparation.unexplained_law:  # known as a command, but not explained
+    if outcome.preparation.unexplained_law:  # known as a command, but not explained
         verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
     open_gap = judge.leaves_unexplained(extended) and (
@@ -374,7 +372,7 @@ def _effect_by_effect(
     if tenable:
         return min(tenable, key=lambda candidate: candidate.remaining_force[1])
     given_up = answer.given_up or answer.extended.model.names
-    floor, missed = outcome.calibration.floor.force, max(force_rms(answer.baseline), answer.remaining_force[0])
+    floor, missed = outcome.floor.force, max(force_rms(answer.baseline), answer.remaining_force[0])
     if force is not None and explained(missed, force.remaining_force, floor) >= rules.OF_A_KIND:
         answer = replace(answer, kind=force.kind, kind_leaves=force.remaining_force)
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents if answers else {}, given_up=given_up)

@@ -17,7 +17,8 @@ from hypothesis import given, strategies as st
 
 from emps_design.cli import app
 from emps_design.cli.output import Terminal
-from emps_design.discrepancy.preparation import MOST_SAMPLES, check_records
+from emps_design.discrepancy import rules
+from emps_design.discrepancy.preparation import check_records
 from emps_design.errors import EmpsError, InputError, RecordError, one_line
 from emps_design.files import destination, write_text
 from emps_design.machines import machine
@@ -285,7 +286,7 @@ def test_sizes_are_checked_before_they_are_allocated(tmp_path):
 
 
 def test_a_diagnosis_says_how_much_memory_it_will_not_take():
-    wave = np.sin(np.arange(MOST_SAMPLES + 1) * 1e-3)
+    wave = np.sin(np.arange(rules.MOST_SAMPLES + 1) * 1e-3)
     record = Record.from_arrays(1e-3, wave, wave, wave, name="hour")
     with pytest.raises(
         RecordError, match=r"hour: found 1000001 samples, expected at most 1000000 in all: .* kB of mem"

@@ -10,19 +10,19 @@ import pytest
 from emps_design.discrepancy import beam_search, diagnose, extension, rules
 from emps_design.discrepancy.acceptance import Judge, _gain_repeats
 from emps_design.discrepancy.beam_search import (
-    MOST_EFFECTS,
-    _extend,
-    _far_behind,
+    ADD,
+    EXCHANGE,
+    FAR_BEHIND,
+    PAIR,
+    PRUNE,
+    RIVALS,
+    Move,
+    Proposed,
     _late,
-    _pair,
-    _pays_again,
-    _previous_model,
-    _rivals,
-    exchanges,
-    pruned,
-    with_before,
+    brought_in,
+    walk,
 )
-from emps_design.discrepancy.calibration import Outcome
+from emps_design.discrepancy.calibration import Outcome, remembered
 from emps_design.discrepancy.extension import _fitted, converged, extended, extensions, freed
 from emps_design.discrepancy.fit import evaluate, fit, on_bound, weighed
 from emps_design.discrepancy.least_squares import Candidate, descend
@@ -32,6 +32,7 @@ from emps_design.discrepancy.records import split
 from emps_design.discrepancy.starts import screen, tangent
 from emps_design.effects import get_effect
 from emps_design.machines import machine
+from emps_design.progress import no_progress
 from emps_design.records import Record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import trapezoid_laps
@@ -55,24 +56,49 @@ DELAYED = {"kind": "actuator_delay", "delay": 1.6e-3}
 LAGGING = {"kind": "actuator_lag", "time_constant": 1e-3}
 
 
+class Judged(Outcome):
+    """A search whose judge says what a test lets it."""
+
+    accept = staticmethod(lambda better, worse: True)
+    structure = staticmethod(lambda fitted: False)
+
+    @property
+    def judge(self):
+        return SimpleNamespace(accepts=type(self).accept, leaves_structure=type(self).structure)
+
+
+def search_at(*path, accept=Judged.accept, structure=Judged.structure, tried=(), library=(), known=(), threshold=0.0):
+    """A search that has come along ``path``; its baseline has the effects ``known``."""
+    kind = type("Judged", (Judged,), {"accept": staticmethod(accept), "structure": staticmethod(structure)})
+    first = path[0].with_model(path[0].model.without_named([n for n in path[0].model.names if n not in known]))
+    path = path if path[0].model.names == first.model.names else (evaluate(first), *path)
+    preparation, healthy = SimpleNamespace(library=library), SimpleNamespace(threshold=threshold)
+    return kind(preparation, None, healthy, [], path, remembered({}, (*path, *tried)), most=rules.MOST_EFFECTS)
+
+
+def exchanged(best, library, known=()):
+    """What is proposed in the place of each effect of ``best``."""
+    return EXCHANGE.proposes(search_at(best, library=library, known=known), no_progress).fits
+
+
 def test_a_stand_in_that_was_found_first_goes():
     start = BASELINE.with_effect(LAG, np.array([[2e-4]])).with_effect(DELAY, np.array([[1.5e-3]]))
     both = fit(hypothesis(start, DELAYED))
     worth = lambda better, worse: worse.cost - better.cost > 0.01 * worse.cost  # noqa: E731
-    path = pruned(both, (), {}, worth)
-    assert path[-1].model.names == ("actuator_delay",)
-    assert path[-1].model.values[0][0, 0] == pytest.approx(1.6e-3, rel=0.02)
+    best = walk(search_at(both, accept=worth), (PRUNE,), no_progress).best
+    assert best.model.names == ("actuator_delay",)
+    assert best.model.values[0][0, 0] == pytest.approx(1.6e-3, rel=0.02)
 
 
 def test_a_stand_in_in_company_gives_way_to_what_it_stood_in_for():
     spring = {"kind": "elastic_force", "stiffness": 80.0, "rest_position": 0.05}
     start = BASELINE.with_effect(LAG, np.array([[1.5e-3]])).with_effect(SPRING, np.array([[80.0, 0.05]]))
     stand_in = fit(hypothesis(start, DELAYED, spring))
-    others = exchanges(stand_in, (), (DELAY, LAG, SPRING))
+    others = exchanged(stand_in, (DELAY, LAG, SPRING))
     best = min(others, key=lambda f: f.cost)
     assert set(best.model.names) == {"actuator_delay", "elastic_force"}
     assert best.cost < 0.9 * stand_in.cost
-    assert all("actuator_lag" in f.model.names for f in exchanges(stand_in, ("actuator_lag",), (DELAY, LAG, SPRING)))
+    assert all("actuator_lag" in f.model.names for f in exchanged(stand_in, (DELAY, LAG, SPRING), ("actuator_lag",)))
 
 
 def test_a_baseline_that_a_stand_in_bent_is_tried_from_the_axis_file_too():
@@ -80,7 +106,7 @@ def test_a_baseline_that_a_stand_in_bent_is_tried_from_the_axis_file_too():
     library = (get_effect("stribeck_friction"), get_effect("nonlinear_viscous_friction"))
     bent = replace(BASELINE, baseline=np.array([95.0, 450.0, 0.0, -3.0]))
     stand_in = fit(hypothesis(bent.with_effect(library[0], np.array([[12.0, 0.04, 2.0]])), bend))
-    best = min(exchanges(stand_in, (), library), key=lambda f: f.cost)
+    best = min(exchanged(stand_in, library), key=lambda f: f.cost)
     assert best.model.names == ("nonlinear_viscous_friction",)
     assert best.model.values[0][0, 0] == pytest.approx(30.0, rel=0.1)
 
@@ -122,22 +148,21 @@ def test_a_number_that_ends_on_a_bound_is_held():
 def test_a_search_goes_on_from_a_model_found_before_that_leaves_less():
     delayed = BASELINE.with_effect(DELAY, np.array([[1.5e-3]]))
     current = fit(hypothesis(BASELINE.with_effect(SPRING, np.array([[1.0, 0.0]])), DELAYED))
-    tried = {}
-    found = _previous_model(delayed, current, tried)
+    search = search_at(current)
+    further = walk(search, (brought_in(delayed),), no_progress)
+    found = further.best
+    assert further.path == (*search.path, found)
     assert found.model.names == ("actuator_delay",)
     assert found.model.values[0][0, 0] == pytest.approx(1.6e-3, rel=1e-2)  # fitted under the noise of ``current``
-    assert tried == {frozenset({"actuator_delay"}): found}
-    assert _previous_model(None, current, {}) is None
-    assert _previous_model(delayed, found, {}) is None  # where the search has ended already
-    assert _previous_model(current.model, found, {}) is None  # leaves more
-    outcome = Outcome(None, (current,), {})
-    assert with_before(outcome, delayed).path == (current, outcome.tried[frozenset({"actuator_delay"})])
-    assert with_before(outcome, None) is outcome
+    assert further.tried[frozenset({"actuator_delay"})] is found
+    for before in (delayed, current.model):  # the search has ended there already; it leaves more
+        assert walk(further, (brought_in(before),), no_progress).path == further.path
 
 
-def test_what_is_known_from_the_law_is_neverpruned():
+def test_what_is_known_from_the_law_is_never_pruned():
     start = BASELINE.with_effect(LAG, np.array([[1e-4]])).with_effect(SPRING, np.array([[5.0, 0.0]]))
-    assert pruned(fit(hypothesis(start)), ("actuator_lag",), {}, lambda better, worse: False) == []
+    search = search_at(fit(hypothesis(start)), accept=lambda better, worse: False, known=("actuator_lag",))
+    assert walk(search, (PRUNE,), no_progress) is search
 
 
 def test_what_was_tried_before_counts_where_the_rest_of_a_model_is_left_in_a_poor_place(monkeypatch):
@@ -151,7 +176,7 @@ def test_what_was_tried_before_counts_where_the_rest_of_a_model_is_left_in_a_poo
         compared.setdefault(worse.model.names, worse.cost)
         return True
 
-    pruned(both, (), {frozenset(alone.model.names): alone}, accept)
+    walk(search_at(both, accept=accept, tried=(alone,)), (PRUNE,), no_progress)
     assert compared["actuator_delay",] == alone.cost
     assert compared["actuator_lag",] == evaluate(both.with_model(both.model.without(1))).cost
 
@@ -160,10 +185,9 @@ def test_a_rival_is_fitted_as_long_as_the_finding():
     baseline = fit(hypothesis(BASELINE, DELAYED))
     best = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.5e-3]]))))
     short = fit(baseline.with_model(BASELINE.with_effect(LAG, np.array([[1.2e-3]]))), steps=1)
-    tried = {frozenset(f.model.names): f for f in (baseline, best, short)}
-    (close,) = _rivals([baseline, best], tried)
-    assert close.model.names == ("actuator_lag",)
-    assert close.cost < short.cost
+    search = walk(search_at(baseline, best, tried=(short,)), (RIVALS,), no_progress)
+    assert search.path == (baseline, best)
+    assert search.tried[frozenset({"actuator_lag"})].cost < short.cost
 
 
 def test_deviations_hold_where_the_residual_is_structure():
@@ -188,15 +212,13 @@ def test_what_is_accepted_is_kept_where_it_leaves_more_bursts(monkeypatch):
     baseline = fit(hypothesis(BASELINE))
     worse = fit(baseline.with_model(BASELINE.with_effect(LAG, np.array([[5e-3]]))), slots=baseline.slots)
     assert worse.cost > baseline.cost
-    rounds = [({frozenset({"actuator_lag"}): worse}, {"actuator_lag": 0.0}), ({}, {})]
-    monkeypatch.setattr(sys.modules[_extend.__module__], "_round", lambda *given: rounds.pop(0))
-    monkeypatch.setattr(sys.modules[_extend.__module__], "converged", lambda found: found)
-    judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: False)
-    path, tried = [baseline], {}
-    calibration = SimpleNamespace(baseline=baseline, judge=judge, preparation=SimpleNamespace(library=()))
-    _extend(Outcome(calibration, (baseline,), tried), path, lambda stage, done: None, MOST_EFFECTS)
-    assert path == [baseline, worse]
-    assert list(tried) == [frozenset({"actuator_lag"})]
+    rounds = [Proposed([worse], {"actuator_lag": 0.0}), Proposed([])]
+    monkeypatch.setattr(beam_search, "_round", lambda *given: rounds.pop(0))
+    monkeypatch.setattr(beam_search, "converged", lambda found: found)
+    search = walk(search_at(baseline), (ADD,), no_progress)
+    assert search.path == (baseline, worse)
+    assert search.alone == {"actuator_lag": 0.0}
+    assert set(search.tried) == {frozenset(), frozenset({"actuator_lag"})}
 
 
 def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
@@ -206,23 +228,17 @@ def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
     both = fit(delayed.with_model(delayed.model.with_effect(SPRING, np.array([[300.0, 0.05]]))))
     begun = []
 
-    def played(calibration, beam, *rest):
+    def played(search, beam, *rest):
         begun.append([member.model.names for member in beam])
-        return {frozenset(both.model.names): both}, {}
+        return Proposed([both])
 
-    monkeypatch.setattr(sys.modules[_pair.__module__], "_round", played)
-    judge = SimpleNamespace(
-        accepts=lambda better, worse: better is not delayed,
-        leaves_structure=lambda fitted: fitted is baseline,
-        healthy=SimpleNamespace(threshold=0.0),
-    )
-    calibration = SimpleNamespace(baseline=baseline, judge=judge, preparation=SimpleNamespace(library=()))
-    tried = {frozenset(f.model.names): f for f in (baseline, delayed)}
-    found = _pair(calibration, baseline, tried, lambda stage, done: None)
-    assert found.model.names == ("actuator_delay", "elastic_force")
+    monkeypatch.setattr(beam_search, "_round", played)
+    judged = {"accept": lambda better, worse: better is not delayed, "structure": lambda fitted: fitted is baseline}
+    found = walk(search_at(baseline, tried=(delayed,), **judged), (PAIR,), no_progress)
+    assert found.best.model.names == ("actuator_delay", "elastic_force")
     assert begun == [[("actuator_delay",)]]
-    assert frozenset(both.model.names) in tried
-    assert _pair(calibration, delayed, tried, lambda stage, done: None) is None
+    assert frozenset(both.model.names) in found.tried
+    assert not PAIR.applies(search_at(baseline, delayed, **judged))
 
 
 def test_what_is_far_behind_is_looked_for_where_structure_is_left_among_what_was_not_fitted(monkeypatch):
@@ -231,20 +247,18 @@ def test_what_is_far_behind_is_looked_for_where_structure_is_left_among_what_was
     sprung = fit(baseline.with_model(BASELINE.with_effect(SPRING, np.array([[250.0, 0.0]]))))
     asked = []
 
-    def played(calibration, beam, number, library, progress, rival):
-        asked.append((number, [effect.name for effect in library], rival))
-        return {frozenset(sprung.model.names): sprung}, {}
+    def played(search, beam, library, progress, rival):
+        asked.append(([effect.name for effect in library], rival))
+        return Proposed([sprung])
 
-    monkeypatch.setattr(sys.modules[_far_behind.__module__], "_round", played)
-    judge = SimpleNamespace(accepts=lambda better, worse: True, leaves_structure=lambda fitted: fitted is baseline)
-    preparation = SimpleNamespace(library=(DELAY, LAG, SPRING, get_effect("force_map")))
-    calibration = SimpleNamespace(baseline=baseline, judge=judge, preparation=preparation)
-    tried = {frozenset(one.model.names): one for one in (baseline, delayed)}
-    found = _far_behind(calibration, baseline, tried, lambda stage, done: None)
-    assert found.model.names == ("elastic_force",)
-    assert asked == [(1, ["actuator_lag", "elastic_force"], rules.FAR_BEHIND)]
-    assert frozenset(sprung.model.names) in tried
-    assert _far_behind(calibration, sprung, tried, lambda stage, done: None) is None
+    monkeypatch.setattr(beam_search, "_round", played)
+    judged = {"structure": lambda fitted: fitted is baseline}
+    library = (DELAY, LAG, SPRING, get_effect("force_map"))
+    found = walk(search_at(baseline, tried=(delayed,), library=library, **judged), (FAR_BEHIND,), no_progress)
+    assert found.best.model.names == ("elastic_force",)
+    assert asked == [(["actuator_lag", "elastic_force"], rules.MINOR)]
+    assert frozenset(sprung.model.names) in found.tried
+    assert not FAR_BEHIND.applies(search_at(baseline, sprung, **judged))
 
 
 def test_what_promises_much_is_fitted_though_its_short_fit_was_misled(monkeypatch):
@@ -277,8 +291,8 @@ def test_what_gains_next_to_nothing_in_its_first_step_gets_no_other(monkeypatch)
     absorbed = tangent(fitted)
     screened = screen(fitted, (DELAY, LAG, SPRING), absorbed)
     extensions(fitted, [[replace(found[0], gain=min(found[0].gain, 100.0))] for found in screened], absorbed)
-    assert steps["actuator_delay"] == extension.SHORT_STEPS
-    assert steps["elastic_force"] == extension.FIRST_STEPS
+    assert steps["actuator_delay"] == rules.SHORT_STEPS
+    assert steps["elastic_force"] == 1
 
 
 def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
@@ -308,19 +322,18 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
 def test_what_explains_most_of_the_rest_is_fitted_to_convergence_before_it_is_turned_down():
     baseline = fit(hypothesis(BASELINE, DELAYED))
     short = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.2e-3]]))), steps=1)
-    sound = {frozenset(short.model.names): short}
-    better = _late(baseline, sound, lambda one, other: one.cost < 0.9 * short.cost)
+    better = _late(search_at(baseline, accept=lambda one, other: one.cost < 0.9 * short.cost), [short])
     assert [f.model.names for f in better] == [("actuator_delay",)]
-    assert _late(baseline, {}, lambda one, other: True) == []
+    assert _late(search_at(baseline), []) == []
     poor = fit(baseline.with_model(BASELINE.with_effect(SPRING, np.array([[1.0, 0.0]]))))
-    assert _late(baseline, {frozenset(poor.model.names): poor}, lambda one, other: True) == []
+    assert _late(search_at(baseline), [poor]) == []
 
 
 def test_nothing_is_fitted_on_where_less_than_the_noise_is_left():
     baseline = fit(hypothesis(BASELINE))
     quiet = replace(baseline, cost_fit=10.0, cost_select=5.0)
-    assert _late(quiet, {}, lambda one, other: True) == []
-    assert _late(quiet, {frozenset({"actuator_lag"}): baseline}, lambda one, other: True) == []
+    assert _late(search_at(quiet), []) == []
+    assert _late(search_at(quiet), [baseline]) == []
 
 
 HEIGHTS = {f"height_{i}": h for i, h in enumerate((4.0, -3.0, 6.0, 0.0, 5.0, -4.0), start=1)}
@@ -435,13 +448,60 @@ def test_another_exponent_is_tried_from_the_axis_files_friction_where_the_first_
 
 
 def test_under_finer_noise_nothing_is_gone_on_from_where_nothing_was_found():
-    current = SimpleNamespace(model=SimpleNamespace(names=("stribeck_friction",)))
-    assert _previous_model(SimpleNamespace(names=()), current, {}) is None
+    search = SimpleNamespace(best=SimpleNamespace(model=SimpleNamespace(names=("stribeck_friction",))))
+    assert not brought_in(SimpleNamespace(names=())).applies(search)
 
 
 def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less():
-    gone_on = {}
-    step = frozenset({"backlash"}), frozenset({"backlash", "end_stop"})
-    costs = (100.0, 100.0, 99.9, 90.0)
-    assert [_pays_again(SimpleNamespace(cost=cost), step, gone_on) for cost in costs] == [True, False, False, True]
-    assert _pays_again(SimpleNamespace(cost=100.0), step[::-1], gone_on)
+    first = evaluate(hypothesis(BASELINE))
+    lagging = evaluate(first.with_model(BASELINE.with_effect(LAG, np.array([[1e-4]]))))
+    costs, taken = [100.0, 100.0, 99.9, 90.0], []
+
+    def proposed(search, progress):
+        return Proposed([replace(lagging, cost_fit=costs.pop(0), cost_select=0.0)])
+
+    def takes(search, fits):
+        taken.append(fits[0].cost)
+        return list(fits)
+
+    there = Move("there", lambda search: bool(costs) and search.best is first, proposed, takes, detour=True)
+    back = Move(
+        "back", lambda search: search.best is not first, lambda *_: Proposed([first]), lambda search, fits: list(fits)
+    )
+    search = walk(search_at(first), (there, back), no_progress)
+    assert (taken, search.best, search.detours) == ([100.0, 100.0], first, 1)
+    while costs:
+        search = walk(search, (there, back), no_progress)
+    assert (taken, search.detours) == ([100.0, 100.0, 99.9, 90.0], 2)
+
+
+def test_a_move_that_led_nowhere_is_tried_again_only_from_another_model():
+    first = evaluate(hypothesis(BASELINE))
+    lagging = evaluate(first.with_model(BASELINE.with_effect(LAG, np.array([[1e-4]]))))
+    asked = []
+
+    def nothing(search, progress):
+        asked.append(search.best.model.names)
+        return Proposed([])
+
+    vain = Move("vain", lambda search: True, nothing, lambda search, fits: [])
+    add = Move("add", lambda search: not search.count, lambda *_: Proposed([lagging]), lambda search, fits: list(fits))
+    search = walk(search_at(first), (vain, add), no_progress)
+    assert search.best is lagging
+    assert asked == [(), ("actuator_lag",)]
+    assert walk(search, (vain, add), no_progress) is search
+
+
+def test_an_interrupt_keeps_what_was_found():
+    first = evaluate(hypothesis(BASELINE))
+    lagging = evaluate(first.with_model(BASELINE.with_effect(LAG, np.array([[1e-4]]))))
+
+    def ended(search):
+        if search.count:
+            raise KeyboardInterrupt
+        return True
+
+    add = Move("add", ended, lambda *_: Proposed([lagging]), lambda search, fits: list(fits))
+    search = walk(search_at(first), (add,), no_progress)
+    assert (search.best, search.interrupted, search.warnings) == (lagging, True, (beam_search.UNFINISHED,))
+    assert walk(search, (add,), no_progress) is search

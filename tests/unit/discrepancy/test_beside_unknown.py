@@ -282,10 +282,10 @@ def stopped():
 @pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_no_unknown_force_is_needed_where_effects_leave_less(stopped):
     force, (baseline, *_) = stopped.of_a_kind, stopped.path
-    again = beam_search._of_a_kind(stopped.calibration, [baseline, baseline], None)
-    assert [one.kind for one in again] == [force.kind]
+    again = beam_search._of_a_kind(replace(stopped, path=(baseline, baseline)), None)
+    assert again.kind == force.kind
     better = evaluate(force.fitted)  # as effects that leave as little would
-    assert beam_search._of_a_kind(stopped.calibration, [baseline, baseline, better], None) == []
+    assert beam_search._of_a_kind(replace(stopped, path=(baseline, baseline, better)), None) is None
 
 
 @pytest.mark.study("a whole diagnosis beside an unknown force")
@@ -333,7 +333,7 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
     library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
     first, second = with_force(crank, 1, SMOOTH), with_force(crank, 2, SLOWER)
     diagnose(first, AXIS, library=library, holdout=second, progress=lambda stage, share: told.append(share))
-    assert len(stopped) == len(module.SEARCHES)
+    assert len(stopped) == rules.IN_TURN
     assert [any(one.path is it.path for it in gone_on) for one in stopped] == [False, False, True]
     assert told == sorted(told)
 

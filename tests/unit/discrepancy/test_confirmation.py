@@ -237,7 +237,7 @@ def test_noise_is_what_differs_between_laps_beyond_what_the_model_knows_of():
     )  # the friction hides in the noise of unlike laps
 
     def finer(floor, best, force=None):
-        return _finer(SimpleNamespace(calibration=SimpleNamespace(floor=floor), best=best, of_a_kind=force))
+        return _finer(SimpleNamespace(floor=floor, best=best, of_a_kind=force))
 
     again = finer(taken, drifting)
     assert again.source == LAPS
@@ -259,8 +259,8 @@ def test_an_interrupt_of_a_later_search_says_what_was_left_undone(monkeypatch, i
     module = sys.modules["emps_design.discrepancy.diagnosis"]
     monkeypatch.setattr(module, "_finer", lambda outcome: "finer")
     monkeypatch.setattr(module, "calibrate", interrupted)
-    calibration = SimpleNamespace(healthy=SimpleNamespace(searched=1), preparation=None, baseline=None)
-    first = Outcome(calibration, ("model",), {}, of_a_kind=SimpleNamespace(is_plain=is_plain))
+    of_a_kind = SimpleNamespace(is_plain=is_plain)
+    first = Outcome(None, None, SimpleNamespace(searched=1), [], ("model",), {}, of_a_kind=of_a_kind)
     kept = _repeated(first, 0, 1, lambda stage, share: None)
     assert kept.path == first.path
     assert kept.warnings == (NOT_REPEATED, UNFINISHED)[: 1 + unfinished]
@@ -272,7 +272,8 @@ def test_an_interrupt_of_the_healthy_searches_leaves_resampled_noise(monkeypatch
         raise KeyboardInterrupt
 
     module = sys.modules["emps_design.discrepancy.calibration"]
-    for name in ("fit", "tangent", "screen", "by_signature", "suspects_text", "healthy_reference", "Hypothesis"):
+    linearised = ("tangent", "screen", "by_signature", "suspects_text", "healthy_reference")
+    for name in ("fit", *linearised, "Hypothesis", "remembered"):
         monkeypatch.setattr(module, name, lambda *arguments, **options: "made")
     monkeypatch.setattr(module, "healthy_runs", interrupted)
     start = SimpleNamespace(problem=SimpleNamespace(with_whitening=lambda whitening: None), model=None)

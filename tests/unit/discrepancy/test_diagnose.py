@@ -98,7 +98,7 @@ def test_the_extended_axis_replays_the_prediction(delayed):
 
 @pytest.mark.parametrize("cores", quick([3, 1], 1, "the same again on one core"))
 def test_the_same_seed_gives_the_same_document_on_any_number_of_cores(delayed, cores, monkeypatch):
-    assert parallel.CORES == 2  # with which `delayed` was found
+    assert rules.CORES == 2  # with which `delayed` was found
     monkeypatch.setattr(parallel, "_idle", threading.Semaphore(cores - 1))
     again = diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, seed=1, name="other"), library=SHORT)
     assert json.dumps(Terminal().plain(again.to_dict())) == json.dumps(Terminal().plain(delayed.to_dict()))

@@ -7,7 +7,7 @@ import pytest
 
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.acceptance import Healthy
-from emps_design.discrepancy.calibration import Calibration, Outcome
+from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.experiment import EXCITATIONS, Envelope, choose, excitations, experiment, instruction
 from emps_design.discrepancy.fit import fit
 from emps_design.discrepancy.least_squares import Candidate
@@ -139,8 +139,7 @@ def test_without_equivalents_the_effect_s_own_advice_stays():
     delay, lag = get_effect("actuator_delay"), get_effect("actuator_lag")
     best, rival = fitted(problem, delay, delay=1e-3), fitted(problem, lag, time_constant=1e-3)
     tried = {frozenset(f.model.names): f for f in (best, rival)}
-    calibration = Calibration(None, best, None, Healthy(np.full(199, THRESHOLD)), [])
-    found = Outcome(calibration, (best,), tried)
+    found = Outcome(None, None, Healthy(np.full(199, THRESHOLD)), [], (best,), tried)
     alone = experiment(found, ("actuator_delay",), {"actuator_delay": []}).to_dict(Units())
     assert alone["text"] == delay.words.experiment
     assert {alone[key] for key in ("program", "duration", "distance", "over_noise", "between", "file")} == {None}

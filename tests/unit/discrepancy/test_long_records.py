@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emps_design.discrepancy import diagnose, long_records
+from emps_design.discrepancy import diagnose, long_records, rules
 from emps_design.effects import get_effect
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -17,8 +17,8 @@ LIBRARY = (get_effect("elastic_force"),)
 @pytest.fixture
 def short(monkeypatch):
     """As if 30,000 samples were too many, and 20,000 of them could be searched."""
-    monkeypatch.setattr(long_records, "MOST_SAMPLES", 30_000)
-    monkeypatch.setattr(long_records, "SEARCHED", 20_000)
+    monkeypatch.setattr(rules, "MOST_SAMPLES", 30_000)
+    monkeypatch.setattr(rules, "SEARCHED", 20_000)
 
 
 def told(effects, **how):

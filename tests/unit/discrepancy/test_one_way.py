@@ -42,7 +42,7 @@ def test_what_one_way_tells_is_given_as_a_sum(direction, monkeypatch):
         model=SimpleNamespace(baseline=np.array([1.0, 2.0, 3.0, 0.5])), problem=SimpleNamespace(axis=axis)
     )
     preparation = SimpleNamespace(direction=direction)
-    outcome = SimpleNamespace(path=[fit], best=fit, calibration=SimpleNamespace(preparation=preparation))
+    outcome = SimpleNamespace(path=[fit], best=fit, preparation=preparation)
     table = explanation._parameters(SimpleNamespace(outcome=outcome, baseline=fit, extended=fit))
     known = {name: entry["extended"]["value"] for name, entry in table.items()}
     if direction:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.preparation import prepare
-from emps_design.discrepancy.records import START_UP, find_lap, find_strokes, split
+from emps_design.discrepancy.records import find_lap, find_strokes, split
 from emps_design.discrepancy.unknown_force import missing_force
 from emps_design.machines import machine
 from emps_design.records import Record
@@ -42,8 +43,8 @@ def test_every_allowed_sample_fits_or_selects_and_none_does_both(laps):
     q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=laps)
     made = split(record(q_ref))
     assert not (made.fit & made.select).any()
-    assert made.used[START_UP:].all()
-    assert not made.used[:START_UP].any()
+    assert made.used[rules.START_UP :].all()
+    assert not made.used[: rules.START_UP].any()
     assert made.fit.sum() > made.select.sum() > 0
 
 
