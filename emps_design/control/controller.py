@@ -40,7 +40,16 @@ from emps_design.control.discretisation import (
     sample_plant,
 )
 from emps_design.control.linear_plant import LinearPlant
-from emps_design.control.margins import MOST_GAIN, Margins, Row, further_down, loop_margins, periodic_response, transfer
+from emps_design.control.margins import (
+    HERTZ,
+    MOST_GAIN,
+    Margins,
+    Row,
+    further_down,
+    loop_margins,
+    periodic_response,
+    transfer,
+)
 from emps_design.control.sampled import (
     MARGINAL,
     PLANT_INPUT,
@@ -65,9 +74,11 @@ from emps_design.view import Line, Table, View, Viewed
 LOOPS = ("velocity", "position", "whole")
 ROWS: tuple[Row, ...] = (
     ("crossover", "crossover", "rad/s", 1.0),
+    ("", "crossover", "Hz", 1.0 / HERTZ),
     ("phase margin", "phase_margin_deg", "deg", 1.0),
     ("gain margin", "gain_margin", "ratio", 1.0),
     ("delay margin", "delay_margin", "ms", 1e3),
+    ("", "delay_margin_samples", "samples", 1.0),
     ("disk margin", "disk_margin", "", 1.0),
     ("bandwidth, -3 dB", "bandwidth", "rad/s", 1.0),
     ("natural frequency", "natural_frequency", "rad/s", 1.0),
@@ -213,10 +224,12 @@ class ControllerMargins(Viewed):
 
 
 def _side_by_side(loops: Mapping[str, LoopMargins], title: str) -> Table:
-    """The margins of ``loops`` by name."""
-    columns = [loop.to_dict() for loop in loops.values()]
+    """The margins of ``loops`` by name; a delay in samples is that of sampled loops."""
+    columns = [{**loop.margins.to_dict(), **loop.to_dict()} for loop in loops.values()]
     rows = [("broken at the", *(loop["broken"] for loop in columns), "")]
     for label, key, unit, scale in ROWS:
+        if not all(key in loop for loop in columns):
+            continue
         cells = [
             number(None if loop[key] is None else scale * loop[key], 4, "-") if loop["stable"] else "undefined"
             for loop in columns

@@ -68,3 +68,13 @@ def test_the_worst_machine_of_a_range_decides():
 def test_an_axis_without_a_controller_is_refused():
     with pytest.raises(AxisError, match="to close a loop"):
         controller_margins(machine("emps2018"))
+
+
+def test_the_view_says_a_crossover_in_hertz_and_a_delay_in_samples():
+    margins = controller_margins(machine("emps2019").replace(sampling={"period": 5e-4}))
+    _, _, sampled, continuous = margins.view()
+    rows = {(row[0], row[-1]): row[-2] for row in sampled.rows}
+    whole = margins.loops["whole"].margins
+    assert rows["", "Hz"] == f"{whole.crossover / (2.0 * math.pi):.4g}"
+    assert rows["", "samples"] == f"{whole.delay_margin / 5e-4:.4g}"
+    assert "samples" not in {row[-1] for row in continuous.rows}
