@@ -16,6 +16,7 @@ from emps_design.axis import Axis, Mechanics
 from emps_design.discrepancy.residual_views import EVERYWHERE
 from emps_design.discrepancy.view import diagnosis_view
 from emps_design.errors import EmpsError
+from emps_design.figures import Axes, Curve, Grid, thin
 from emps_design.report import diagnosis_sections as figures
 from emps_design.report.diagnosis_sections import (
     candidates_section,
@@ -49,7 +50,7 @@ from emps_design.report.page import (
     ratio,
     words,
 )
-from emps_design.report.style import BLUE, look, plain_subplots, thin
+from emps_design.report.style import drawn
 from emps_design.units import LINEAR, Units
 
 if TYPE_CHECKING:
@@ -200,15 +201,11 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any, units:
 
 def reference_figure(t: np.ndarray, q_ref: np.ndarray) -> Figure:
     """Draw a reference: position [m] (n,) over ``t`` [s], and its velocity."""
-    with look():
-        figure, (top, bottom) = plain_subplots(2, 1, height=3.6, sharex=True)
-        top.plot(*thin(t, 1e3 * q_ref), color=BLUE, linewidth=1.3)
-        top.set_ylabel("reference [mm]")
-        bottom.plot(*thin(t, 1e3 * np.gradient(q_ref, t)), color=BLUE, linewidth=0.9)
-        bottom.set(ylabel="velocity [mm/s]", xlabel="time [s]")
-        for axes in (top, bottom):
-            axes.margins(x=0.01)
-    return figure
+    position = Curve(*thin(t, 1e3 * q_ref), width=1.3)
+    velocity = Curve(*thin(t, 1e3 * np.gradient(q_ref, t)), width=0.9)
+    return drawn(
+        Grid.of(Axes((position,), "", "reference [mm]"), Axes((velocity,), "time [s]", "velocity [mm/s]"), height=3.6)
+    )
 
 
 def diagnosis_page(diagnosis: Diagnosis) -> Page:

@@ -11,6 +11,7 @@ from emps_design.discrepancy.acceptance import explained
 from emps_design.discrepancy.residual_views import SPECTRAL
 from emps_design.effects import get_effect, kind_of
 from emps_design.errors import EmpsError
+from emps_design.figures import BLACK, BLUE, GREY, RED, YELLOW, Axes, Band, Curve, Grid, Level, thin
 from emps_design.quantities import inside
 from emps_design.report.page import (
     NOTHING,
@@ -29,10 +30,9 @@ from emps_design.report.page import (
     with_std,
     words,
 )
-from emps_design.report.style import BLACK, BLUE, GREY, RED, YELLOW, look, plain_subplots, thin
+from emps_design.report.style import drawn, look, plain_subplots
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from emps_design.discrepancy.result import Diagnosis
@@ -96,7 +96,7 @@ def spectrum_figure(spectrum: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _draw_view(axes: Axes, view: Any) -> None:
+def _draw_view(axes: Any, view: Any) -> None:
     factor, unit = _SCALE.get(view.unit, (1.0, view.unit))
     x = np.asarray(view.x) * factor
     for low, high in view.marks:
@@ -137,24 +137,17 @@ def before_after_figure(diagnosis: Any) -> Figure:
     models = [(trace.baseline, RED, "baseline model"), (trace.extended, BLUE, "extended model")]
     if np.array_equal(trace.baseline, trace.extended):
         models = models[:1]
-    with look():
-        figure, (top, bottom) = plain_subplots(2, 1, height=5.0, sharex=False)
-        top.plot(*thin(t[inside], trace.measured[inside]), color=BLACK, linewidth=1.9, label="measured")
-        for y, color, label in models:
-            top.plot(*thin(t[inside], np.asarray(y)[inside]), color=color, linewidth=1.2, label=label)
-        top.set(ylabel="motor force [N]", xlabel="time [s]", title=f"Force, {low:.3g} s to {high:.3g} s")
-        top.legend(ncols=3, loc="upper right")
-        for y, color, label in models:
-            error = np.asarray(trace.measured) - np.asarray(y)
-            bottom.plot(*thin(t[used], error[used]), color=color, linewidth=0.9, label=label)
-        bottom.axhline(0.0, color=GREY, linewidth=0.8)
-        bottom.axvspan(low, high, color=YELLOW, alpha=0.3, linewidth=0)
-        bottom.set(ylabel="measured − simulated [N]", xlabel="time [s]", title="What each model leaves")
-        bottom.legend(ncols=2, loc="upper right")
-        for axes in (top, bottom):
-            axes.margins(x=0.01)
-            axes.set_ylim(axes.get_ylim()[0], axes.get_ylim()[1] + 0.22 * np.ptp(axes.get_ylim()))
-    return figure
+    forces: list[Any] = [Curve(*thin(t[inside], trace.measured[inside]), "measured", BLACK, width=1.9)]
+    errors: list[Any] = [Level("y", 0.0), Band("x", low, high, YELLOW, 0.3)]
+    for y, color, label in models:
+        forces.append(Curve(*thin(t[inside], np.asarray(y)[inside]), label, color, width=1.2))
+        error = np.asarray(trace.measured) - np.asarray(y)
+        errors.append(Curve(*thin(t[used], error[used]), label, color, width=0.9))
+    named: dict[str, Any] = {"legend": "upper right", "room": 0.22}
+    title = f"Force, {low:.3g} s to {high:.3g} s"
+    top = Axes(tuple(forces), "time [s]", "motor force [N]", title, columns=3, **named)
+    left = "measured − simulated [N]", "What each model leaves"
+    return drawn(Grid.of(top, Axes(tuple(errors), "time [s]", *left, columns=2, **named), height=5.0, share_x=False))
 
 
 def _window(t: np.ndarray, error: np.ndarray) -> tuple[float, float]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, WIDTH, look, subplots
+from emps_design.figures import BLACK, BLUE, GREEN, GREY, RED
+from emps_design.report.style import WIDTH, look, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from emps_design.control.sampled import MARGINAL
+from emps_design.figures import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, Axes, Band, Curve, Grid, Level, thin
 from emps_design.report.diagrams import impedance_law_diagram
 from emps_design.report.page import Line, Picture, Section, Table, html, quantity
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, RED, look, subplots, thin
+from emps_design.report.style import drawn, look, subplots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from emps_design.control.impedance.passivity import ContactMap
     from emps_design.control.impedance.robustness import StabilityMap
 
+ABOVE = "outside upper right"
 VERDICT_COLORS = {
     "stable": GREEN,
     "dead_band": BLUE,
@@ -46,48 +48,36 @@ def task_figure(runs: Mapping[str, TaskRun], task: Task) -> Figure:
     The last plot is the velocity in the time that the verdicts judge, on its own scale: it shows a creep or a swing
     that is small beside the motion before.
     """
-    velocity, watched = "velocity [mm/s]", task.end * task.period
-    rows = (("force $\\tau_e$ [N]", "tau_e", 1.0, 0.0), (velocity, "v", 1e3, 0.0), ("position [mm]", "q", 1e3, 0.0),
-            (velocity, "v", 1e3, watched))  # fmt: skip
-    with look():
-        figure, grid = subplots(4, 1, height=7.2)
-        for axes in grid[:2]:
-            axes.sharex(grid[2])
-            axes.tick_params(labelbottom=False)
-        for axes, (label, name, factor, begin) in zip(grid, rows, strict=True):
-            for (run_name, run), color in zip(runs.items(), _COLORS, strict=False):
-                shown = run.t >= begin
-                axes.plot(
-                    *thin(run.t[shown], factor * getattr(run, name)[shown]),
-                    color=color,
-                    linewidth=1.3,
-                    label=f"{run_name}: {run.verdict}",
-                )
-            axes.set_ylabel(label)
-            axes.axhline(0.0, color=GREY, linewidth=0.8)
-            axes.margins(x=0.01)
-        grid[-1].set_xlabel("time [s]; above the whole task, here what the verdicts look at")
-        handles, labels = grid[0].get_legend_handles_labels()
-        figure.legend(handles, [label.replace("_", " ") for label in labels], loc="outside upper right", ncols=2)
-        figure.align_ylabels(grid)
-    return figure
+
+    def signal(label: str, name: str, factor: float, begin: float = 0.0) -> Axes:
+        curves: list[Any] = [Level("y", 0.0)]
+        for (run_name, run), color in zip(runs.items(), _COLORS, strict=False):
+            shown, words = run.t >= begin, f"{run_name}: {run.verdict.replace('_', ' ')}"
+            curves.append(Curve(*thin(run.t[shown], factor * getattr(run, name)[shown]), words, color, width=1.3))
+        return Axes(tuple(curves), "", label)
+
+    whole = (signal("force $\\tau_e$ [N]", "tau_e", 1.0), signal("velocity [mm/s]", "v", 1e3))
+    watched = signal("velocity [mm/s]", "v", 1e3, task.end * task.period)
+    last = replace(watched, x="time [s]; above the whole task, here what the verdicts look at")
+    return drawn(Grid.of(*whole, signal("position [mm]", "q", 1e3), last, height=7.2, share_x=False, legend=ABOVE))
 
 
 def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray], target: np.ndarray) -> Figure:
     """Draw the impedance that the hand meets: ``curves`` (n,) [N/(m/s)] over ``omega`` [rad/s], and the target."""
-    with look():
-        figure, (top, bottom) = subplots(2, 1, height=4.6, sharex=True)
-        top.loglog(omega, np.abs(target), color=BLACK, linestyle="--", label="target $M_a s + B$")
-        bottom.semilogx(omega, np.degrees(np.angle(target)), color=BLACK, linestyle="--")
-        for (name, response), color in zip(curves.items(), _COLORS, strict=False):
-            top.loglog(omega, np.abs(response), color=color, label=name)
-            bottom.semilogx(omega, np.degrees(np.unwrap(np.angle(response))), color=color)
-        for axes in (top, bottom):
-            axes.axvspan(omega[0], 20.0, color="#DCEEFB", linewidth=0, zorder=0)
-        top.set_ylabel("impedance [N/(m/s)]")
-        bottom.set(ylabel="phase [deg]", xlabel="frequency [rad/s]")
-        top.legend(loc="upper left")
-    return figure
+    target_phase = np.degrees(np.angle(target))
+    gains: list[Any] = [Band("x", omega[0], BAND, "#DCEEFB")]
+    phases: list[Any] = [*gains, Curve(omega, target_phase, color=BLACK, line="--")]
+    gains.append(Curve(omega, np.abs(target), "target $M_a s + B$", BLACK, "--"))
+    for (name, response), color in zip(curves.items(), _COLORS, strict=False):
+        gains.append(Curve(omega, np.abs(response), name, color))
+        phases.append(Curve(omega, np.degrees(np.unwrap(np.angle(response))), color=color))
+    return drawn(
+        Grid.of(
+            Axes(tuple(gains), "", "impedance [N/(m/s)]", log="xy", legend="upper left"),
+            Axes(tuple(phases), "frequency [rad/s]", "phase [deg]", log="x"),
+            height=4.6,
+        )
+    )
 
 
 def stability_map_figure(regions: StabilityMap, mass: float, filter: float) -> Figure:
@@ -164,24 +154,17 @@ def mismatch_figure(study: MismatchStudy) -> Figure:
 
 def wall_figure(contact: WallContact) -> Figure:
     """Draw a push into a wall: position with the wall, force of the hand and force of the wall against time."""
-    with look():
-        figure, (top, bottom) = subplots(2, 1, height=4.0, sharex=True)
-        wall = 1e3 * contact.position
-        top.plot(*thin(contact.t, 1e3 * contact.q), color=BLUE, linewidth=1.3, label="carriage")
-        bottom.plot(*thin(contact.t, contact.push), color=BLACK, linewidth=1.3, label="push of the hand")
-        bottom.plot(*thin(contact.t, contact.wall_force), color=RED, linewidth=1.3, label="force of the wall")
-        if contact.reason:
-            top.text(0.5, 0.5, "unstable: the simulation gave up", transform=top.transAxes, ha="center", color=RED)
-        top.set_ylim(top=max(top.get_ylim()[1], 1.25 * wall))
-        top.axhspan(wall, top.get_ylim()[1], facecolor=GREY, alpha=0.25, label="wall")
-        top.axhline(wall, color=GREY, linewidth=0.8)
-        top.set_ylabel("position [mm]")
-        bottom.set(ylabel="force [N]", xlabel="time [s]")
-        for axes, place in ((top, "upper right"), (bottom, "lower right")):
-            axes.margins(x=0.01)
-            axes.legend(loc=place)
-        figure.align_ylabels()
-    return figure
+    wall, position = 1e3 * contact.position, 1e3 * contact.q
+    reached = position[np.isfinite(position)]
+    top, low = max(1.25 * wall, 1.05 * np.max(reached, initial=0.0)), np.min(reached, initial=0.0)
+    carriage = Curve(*thin(contact.t, position), "carriage", BLUE, width=1.3)
+    push = Curve(*thin(contact.t, contact.push), "push of the hand", BLACK, width=1.3)
+    answer = Curve(*thin(contact.t, contact.wall_force), "force of the wall", RED, width=1.3)
+    inside = Band("y", wall, top, GREY, 0.25, "wall"), Level("y", wall)
+    reason = "unstable: the simulation gave up" if contact.reason else ""
+    positions = Axes((carriage, *inside), "", "position [mm]", legend="upper right", remark=reason)
+    forces = Axes((push, answer), "time [s]", "force [N]", legend="lower right")
+    return drawn(Grid.of(replace(positions, y_range=(low - 0.05 * (top - low), top)), forces, height=4.0))
 
 
 def contact_map_figure(regions: ContactMap) -> Figure:

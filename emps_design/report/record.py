@@ -6,10 +6,12 @@ Pictures of a motion in closed loop with its tracking error and command, and of 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from emps_design.figures import BLACK, BLUE, GREEN, RED, YELLOW, Axes, Band, Curve, Grid, Level, thin
 from emps_design.records import Record
 from emps_design.report.page import (
     NOTHING,
@@ -22,7 +24,7 @@ from emps_design.report.page import (
     quantity,
     words,
 )
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED, YELLOW, look, subplots, thin
+from emps_design.report.style import drawn
 from emps_design.units import Units
 
 if TYPE_CHECKING:
@@ -46,15 +48,14 @@ def record_figure(record: Record, units: Units | None = None) -> Figure:
     rows.append((units.label("voltage [V]"), record.u, BLACK))
     if record.f_ext is not None:
         rows.append((units.label("external force [N]"), record.f_ext, RED))
-    with look():
-        figure, grid = subplots(len(rows), 1, height=1.35 * len(rows) + 0.3, sharex=True)
-        for axes, (label, y, color) in zip(grid, rows, strict=True):
-            axes.plot(*thin(record.t, y), color=color, linewidth=1.0)
-            axes.set_ylabel(label)
-            axes.margins(x=0.01)
-        grid[-1].set_xlabel("time [s]")
-        figure.align_ylabels(grid)
-    return figure
+    signals = [Axes((Curve(*thin(record.t, y), "", color, width=1.0),), "", label) for label, y, color in rows]
+    return _over_time(*signals, height=1.35 * len(rows) + 0.3)
+
+
+def _over_time(*axes: Axes, height: float, **options: Any) -> Figure:
+    """Draw ``axes`` above one another over the time that the last one names."""
+    *above, last = axes
+    return drawn(Grid.of(*above, replace(last, x="time [s]"), height=height, **options))
 
 
 def force_figure(identification: Identification) -> Figure:
@@ -67,28 +68,23 @@ def force_figure(identification: Identification) -> Figure:
     error = np.where(used, measured - model, np.nan)
     low, high = _window(t, measured)
     inside = (t >= low) & (t <= high)
-    with look():
-        figure, (top, middle, bottom) = subplots(3, 1, height=6.2)
-        for axes, rows in ((top, slice(None)), (middle, inside)):
-            for label, force, color, width in (
-                ("measured", measured, BLACK, 1.8),
-                ("identified model", model, RED, 1.1),
-            ):
-                x, y = thin(t[rows], force[rows])
-                left_out = np.interp(x, t, used) < 0.5
-                axes.plot(x, np.where(left_out, np.nan, y), color=color, linewidth=width, label=label)
-            axes.set_ylabel("motor force [N]")
-            axes.margins(x=0.01)
-        top.axvspan(low, high, color=YELLOW, alpha=0.35, linewidth=0)
-        top.set(title="the whole record", ylim=(top.get_ylim()[0], top.get_ylim()[1] + 0.25 * np.ptp(top.get_ylim())))
-        top.legend(loc="upper right", ncols=2)
-        middle.set_title(f"{low:.3g} s to {high:.3g} s")
-        bottom.plot(t, error, color=BLUE, linewidth=0.9)
-        bottom.axhline(0.0, color=GREY, linewidth=0.8)
-        bottom.set(title="residual", ylabel="measured − model [N]", xlabel="time [s]")
-        bottom.margins(x=0.01)
-        figure.align_ylabels((top, middle, bottom))
-    return figure
+
+    def forces(rows: Any) -> list[Curve]:
+        curves = []
+        for label, force, color, width in (("measured", measured, BLACK, 1.8), ("identified model", model, RED, 1.1)):
+            x, y = thin(t[rows], force[rows])
+            curves.append(Curve(x, np.where(np.interp(x, t, used) < 0.5, np.nan, y), label, color, width=width))
+        return curves
+
+    label = "motor force [N]"
+    whole: tuple[Any, ...] = (*forces(slice(None)), Band("x", low, high, YELLOW, 0.35))
+    return _over_time(
+        Axes(whole, "", label, "the whole record", legend="upper right", columns=2, room=0.25),
+        Axes(tuple(forces(inside)), "", label, f"{low:.3g} s to {high:.3g} s"),
+        Axes((Curve(t, error, "", BLUE, width=0.9), Level("y", 0.0)), "", "measured − model [N]", "residual"),
+        height=6.2,
+        share_x=False,
+    )
 
 
 def _window(t: np.ndarray, force: np.ndarray) -> tuple[float, float]:
@@ -176,23 +172,16 @@ def import_page(account: Account) -> Page:
 
 def observation_figure(observation: Observation) -> Figure:
     """Draw the external force by every method, and the measured one if the record has it."""
-    with look():
-        figure, grid = subplots(
-            len(observation.methods), 1, height=1.7 * len(observation.methods) + 0.4, sharex=True, squeeze=False
-        )
-        for axes, (name, method) in zip(grid.flat, observation.methods.items(), strict=True):
-            color, label = _COLORS.get(name, BLUE), f"observed, {name}"
-            axes.plot(*thin(observation.t, method.force), color=color, linewidth=1.0, label=label)
-            if observation.f_ext is not None:
-                axes.plot(*thin(observation.t, observation.f_ext), color=BLACK, linewidth=1.2, label="measured")
-            least = method.smallest.value
-            axes.axhspan(-least, least, color="#E5E7EB", linewidth=0, label="cannot be told from errors")
-            axes.set_ylabel("force [N]")
-            axes.legend(loc="upper right", ncols=3)
-            axes.set_ylim(axes.get_ylim()[0], axes.get_ylim()[1] + 0.3 * (axes.get_ylim()[1] - axes.get_ylim()[0]))
-            axes.margins(x=0.01)
-        grid.flat[-1].set_xlabel("time [s]")
-    return figure
+    methods = []
+    for name, method in observation.methods.items():
+        least = method.smallest.value
+        color, label = _COLORS.get(name, BLUE), f"observed, {name}"
+        parts: list[Any] = [Curve(*thin(observation.t, method.force), label, color, width=1.0)]
+        if observation.f_ext is not None:
+            parts.append(Curve(*thin(observation.t, observation.f_ext), "measured", BLACK, width=1.2))
+        parts.append(Band("y", -least, least, label="cannot be told from errors"))
+        methods.append(Axes(tuple(parts), "", "force [N]", legend="upper right", columns=3, room=0.3))
+    return _over_time(*methods, height=1.7 * len(methods) + 0.4)
 
 
 def observation_blocks(observation: Observation) -> tuple[Any, ...]:
@@ -213,33 +202,33 @@ def observation_blocks(observation: Observation) -> tuple[Any, ...]:
 
 def motion_figure(runs: Mapping[str, Followed]) -> Figure:
     """Draw position, tracking error and command of one or two ``runs`` along the same reference, by controller."""
-    with look():
-        figure, (top, middle, below) = subplots(3, 1, height=6.4, sharex=True)
-        first = next(iter(runs.values())).run
-        top.plot(*thin(first.t, 1e3 * first.q_ref), color=BLACK, linestyle="--", linewidth=1.0, label="reference")
-        for (name, followed), color in zip(runs.items(), (RED, BLUE), strict=False):
-            run = followed.run
-            top.plot(*thin(run.t, 1e3 * run.position), color=color, linewidth=1.0, label=name)
-            middle.plot(*thin(run.t, 1e3 * (run.q_ref - run.position)), color=color, linewidth=1.0)
-            below.plot(*thin(run.t, run.u), color=color, linewidth=1.0)
-        top.set_ylabel("position [mm]")
-        middle.set_ylabel("tracking error [mm]")
-        below.set(xlabel="time [s]", ylabel="command [V]")
-        figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-        figure.align_ylabels((top, middle, below))
-    return figure
+    first = next(iter(runs.values())).run
+    top = [Curve(*thin(first.t, 1e3 * first.q_ref), "reference", BLACK, "--", 1.0)]
+    middle, below = [], []
+    for (name, followed), color in zip(runs.items(), (RED, BLUE), strict=False):
+        run = followed.run
+        top.append(Curve(*thin(run.t, 1e3 * run.position), name, color, width=1.0))
+        middle.append(Curve(*thin(run.t, 1e3 * (run.q_ref - run.position)), name, color, width=1.0))
+        below.append(Curve(*thin(run.t, run.u), name, color, width=1.0))
+    return _over_time(
+        Axes(tuple(top), "", "position [mm]"),
+        Axes(tuple(middle), "", "tracking error [mm]"),
+        Axes(tuple(below), "", "command [V]"),
+        height=6.4,
+        legend="outside lower center",
+        columns=3,
+    )
 
 
 def tracking_figure(compensation: Compensation) -> Figure:
     """Draw the reference and the tracking error, without feed-forward and with what is kept."""
     t, errors = compensation.errors()
-    with look():
-        figure, (top, below) = subplots(2, 1, height=4.4, sharex=True)
-        top.plot(*thin(t, compensation.q_ref), color=BLUE)
-        top.set_ylabel("position reference [m]")
-        for (name, error), color in zip(errors.items(), (RED, BLUE), strict=True):
-            below.plot(*thin(t, error), color=color, linewidth=1.0, label=f"{name} feed-forward")
-        below.set(xlabel="time [s]", ylabel=f"tracking error [{compensation.unit}]")
-        below.legend(loc="upper right", ncols=2)
-        figure.align_ylabels((top, below))
-    return figure
+    curves = [
+        Curve(*thin(t, error), f"{name} feed-forward", color, width=1.0)
+        for (name, error), color in zip(errors.items(), (RED, BLUE), strict=True)
+    ]
+    return _over_time(
+        Axes((Curve(*thin(t, compensation.q_ref)),), "", "position reference [m]"),
+        Axes(tuple(curves), "", f"tracking error [{compensation.unit}]", legend="upper right", columns=2),
+        height=4.4,
+    )

@@ -1,4 +1,4 @@
-"""The style of every picture: colours that colour-blind readers can distinguish, sizes, layout, reproducible files.
+"""The style of every picture on paper: sizes, layout, reproducible files.
 
 The layout of plain figures follows from the size of their type, which is faster than from the extents of all artists.
 """
@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.layout_engine import LayoutEngine
 from matplotlib.textpath import text_to_path
 
+from emps_design.figures import Grid, draw_on
 from emps_design.units import Units
 
 if TYPE_CHECKING:
@@ -33,11 +34,6 @@ LINE = 1.2  # height of a line of text, relative to the size of its type
 GAP = 4.0  # between a label and its neighbour, and at the edge
 TICK = 7.0  # from the line of an axis to its numbers
 END = 12.0  # room for half a number beyond the end of a horizontal axis
-
-# Okabe and Ito's palette: distinct under the common forms of colour blindness and in grey print.
-BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-PURPLE, YELLOW, BLACK = "#CC79A7", "#F0E442", "#1A1A1A"
-GREY = "#6B7280"
 
 WIDTH = 8.8  # inches, the text column of a page
 POINTS = 72  # an inch: the unit of an SVG
@@ -227,6 +223,28 @@ def plain_subplots(
     return subplots(rows, columns, height, layout=FigureMargins(above), **options)
 
 
+def drawn(grid: Grid) -> Figure:
+    """Draw ``grid`` with matplotlib."""
+    outside = grid.legend or any(axes.hertz or axes.square for axes in grid.axes)
+    with look():
+        figure, places = subplots(
+            len(grid.rows),
+            len(grid.rows[0]),
+            grid.height,
+            layout="constrained" if outside else FigureMargins(),
+            squeeze=False,
+            sharex="col" if grid.share_x else "none",
+            height_ratios=grid.heights or None,
+        )
+        for place, axes in zip(places.flat, grid.axes, strict=True):
+            draw_on(place, axes)
+        if grid.legend:
+            handles, labels = figure.axes[0].get_legend_handles_labels()
+            figure.legend(handles, labels, loc=cast(Any, grid.legend), ncols=grid.columns)
+        figure.align_ylabels(places[:, 0])
+    return figure
+
+
 def labelled(figure: Figure, units: Units) -> Figure:
     """Change all text in ``figure`` to the ``units`` of an axis, and return the figure."""
     from matplotlib.text import Text
@@ -309,35 +327,3 @@ def draw(figure: Figure, path: Path, form: str) -> None:
     """Write ``figure`` to ``path`` in one of the formats of ``UNDATED``; the same figure gives the same bytes."""
     with look():
         figure.savefig(path, format=form, metadata=UNDATED[form])
-
-
-def thin(x: np.ndarray, y: np.ndarray, bins: int = 900) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most ``2 bins`` points of (x, y) that draw the same line: the extremes of each bin, in order.
-
-    >>> x = np.linspace(0, 1, 10_000)
-    >>> kept_x, kept_y = thin(x, np.sin(50 * x), bins=100)
-    >>> bool(kept_x.size <= 200 and kept_y.max() > 0.999)
-    True
-    """
-    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    if x.size <= 2 * bins:
-        return x, y
-    width = -(-x.size // bins)
-    full = x.size // width * width
-    blocks = y[:full].reshape(-1, width)
-    start = np.arange(blocks.shape[0]) * width
-    low, high = start + blocks.argmin(axis=1), start + blocks.argmax(axis=1)
-    kept = np.unique(np.concatenate([[0], low, high, np.arange(full, x.size)[:: max(1, width // 2)], [x.size - 1]]))
-    return x[kept], y[kept]
-
-
-def hertz_axis(axes: Axes) -> None:
-    """Add a frequency axis in Hz on top of an axis in rad/s."""
-    top = axes.secondary_xaxis("top", functions=cast(Any, (lambda w: w / (2 * np.pi), lambda f: f * (2 * np.pi))))
-    top.set_xlabel("frequency [Hz]")
-
-
-def note(axes: Axes, text: str, x: float = 0.02, y: float = 0.04, **options: Any) -> None:
-    """Write a boxed remark into ``axes`` at a place given in axes fractions."""
-    box = {"boxstyle": "round,pad=0.35", "facecolor": "white", "edgecolor": "#D1D5DB", "alpha": 0.92}
-    axes.text(x, y, text, transform=axes.transAxes, fontsize=8.5, bbox=box, **options)

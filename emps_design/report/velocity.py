@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from emps_design.figures import BLACK, BLUE, GREEN, RED, Curve, Grid
 from emps_design.report.diagrams import velocity_and_force_loop_diagram
-from emps_design.report.loop_figures import nyquist_plane, velocity_loop_figures, z_plane
+from emps_design.report.loop_figures import open_loop_plane, velocity_loop_figures, z_plane
 from emps_design.report.page import Line, Picture, Section, Table, angle, quantity
-from emps_design.report.style import BLACK, BLUE, GREEN, RED, look, subplots
+from emps_design.report.style import drawn, look, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,14 +200,10 @@ def _drawn(axes: Axes) -> np.ndarray:
 def force_loop_figure(design: ForceLoopDesign) -> Figure:
     """Draw the Nyquist curve of the sampled force loop and its poles in the z plane."""
     period = design.velocity_loop.axis.sampling.period
-    w = np.geomspace(0.5, np.pi / period * (1 - 1e-9), 500)
-    loop = design.response(w)
-    with look():
-        figure, (nyquist_axes, z_axes) = subplots(1, 2, height=4.0)
-        nyquist_axes.plot(loop.real, loop.imag, color=RED)
-        nyquist_plane(nyquist_axes, (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
-        z_plane(z_axes, np.asarray(design.poles), "closed-loop poles, z plane")
-    return figure
+    loop = design.response(np.geomspace(0.5, np.pi / period * (1 - 1e-9), 500))
+    curve = Curve(loop.real, loop.imag, color=RED)
+    left = open_loop_plane((curve,), (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
+    return drawn(Grid(((left, z_plane(np.asarray(design.poles), "closed-loop poles, z plane")),), 4.0))
 
 
 def force_section(force: ForceLoopDesign) -> Section:

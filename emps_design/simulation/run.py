@@ -17,6 +17,7 @@ import numpy as np
 
 from emps_design.axis import Axis, Drive
 from emps_design.errors import InputError, RecordError
+from emps_design.figures import BLACK, BLUE, PALE_GREY, RED, Axes, Band, Curve, Grid, draw_on, thin
 from emps_design.files import write_aside
 from emps_design.laws import NONE, Law, law_of
 from emps_design.records import Record
@@ -364,26 +365,30 @@ class Run(Viewed):
         )
         return (Table(("", "value", "unit"), rows, self.name),)
 
+    def figure(self) -> Grid:
+        """Position, velocity and motor force over time as data, the time at rest in grey."""
+        rest = tuple(Band("x", begin, end, PALE_GREY) for begin, end in self.stick_intervals)
+        forces = [Curve(*thin(self.t, self.force), "motor force", BLUE, width=1.0)]
+        if np.any(self.f_ext):
+            forces.append(Curve(*thin(self.t, self.f_ext), "external force", RED, width=1.0))
+        positions = (
+            Curve(*thin(self.t, 1e3 * self.q_ref), "reference", BLACK, "--", 1.0),
+            Curve(*thin(self.t, 1e3 * self.q), "encoder", BLUE, width=1.0),
+        )
+        velocity = (Curve(*thin(self.t, 1e3 * self.v), "velocity", BLUE, width=1.0),)
+        return Grid.of(
+            Axes((*rest, *positions), "", "position [mm]", f"{self.name} (grey: at rest)", legend="upper right"),
+            Axes((*rest, *velocity), "", "velocity [mm/s]", legend="upper right"),
+            Axes((*rest, *forces), "time [s]", "force [N]", legend="upper right"),
+            height=7.0,
+        )
+
     def plot(self, axes: Any = None) -> Any:
         """Draw position, velocity and motor force over time, labelled with units; returns the matplotlib axes."""
         if axes is None:
             from matplotlib.figure import Figure
 
             axes = Figure(figsize=(9, 7), layout="constrained").subplots(3, 1, sharex=True)
-        top, middle, bottom = axes
-        top.plot(self.t, 1e3 * self.q_ref, "--", lw=1, label="reference")
-        top.plot(self.t, 1e3 * self.q, lw=1, label="encoder")
-        top.set_ylabel("position [mm]")
-        middle.plot(self.t, 1e3 * self.v, lw=1, label="velocity")
-        middle.set_ylabel("velocity [mm/s]")
-        bottom.plot(self.t, self.force, lw=1, label="motor force")
-        if np.any(self.f_ext):
-            bottom.plot(self.t, self.f_ext, lw=1, label="external force")
-        bottom.set_ylabel("force [N]")
-        bottom.set_xlabel("time [s]")
-        for panel in axes:
-            for begin, end in self.stick_intervals:
-                panel.axvspan(begin, end, color="0.85", lw=0)
-            panel.legend(loc="upper right")
-        top.set_title(f"{self.name} (grey: at rest)", parse_math=False)  # a name may hold a dollar
+        for place, drawn in zip(axes, self.figure().axes, strict=True):
+            draw_on(place, drawn)
         return axes

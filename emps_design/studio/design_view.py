@@ -233,11 +233,11 @@ class DesignView:
         axis = (self.machine, self.file.field, self.fresh)
         controls = pn.Column(*axis, *groups, width=330, margin=(0, 8, 0, 0))
         p = self.plots
-        columns = ((p.magnitude, p.phase), (p.nyquist, self.plane.plot), (p.step, p.z_plane))
+        columns = ((p.magnitude, p.phase), (p.nyquist, self.plane), (p.step, p.z_plane))
         pictures = pn.Row(
             *(
                 pn.Column(
-                    *(pn.pane.Bokeh(plot, sizing_mode="scale_width") for plot in column),
+                    *(pn.pane.Bokeh(shown.plot, sizing_mode="scale_width") for shown in column),
                     margin=0,
                     sizing_mode="stretch_width",
                 )
@@ -313,7 +313,7 @@ class DesignView:
         if self.pinned is None:
             self.plots.unpin()
         else:
-            self.plots.update(self.pinned, self.state.place)
+            self.plots.update(self.pinned, self.state)
             self.plots.pin()
         self.refresh(note)
 
@@ -398,8 +398,7 @@ class DesignView:
         refused = f"{sentence_of(self.design.refused)} " if self.design.refused else ""
         self._say(f"{refused}{note} {notes}".strip(), "note" if reached and not refused else "bad")
         state = self.state
-        self.plots.update(self.design, state.place)
-        self.plots.require(state.required_phase_deg, state.required_overshoot_percent)
+        self.plots.update(self.design, state)
         regions = plane(state)
         if regions is not self._plane:
             self.plane.color(regions)

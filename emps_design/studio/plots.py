@@ -1,25 +1,28 @@
 """The pictures of the design tab, and the specifications that can be reached.
 
-The pictures are made once; afterwards only their data change, so that they follow the controls at once. The reachable
-specifications limit the controls and colour the plane of specifications.
+Bokeh draws the axes that a page draws with matplotlib. The pictures are made once; afterwards only their data change,
+so that they follow the controls at once. The reachable specifications limit the controls and colour the plane of
+specifications.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from bokeh.core.property.vectorization import Field, value
 from bokeh.models import ColumnDataSource, DataRange1d, FixedTicker, HoverTool, LinearColorMapper, Range1d
-from bokeh.models.annotations import BoxAnnotation, Label, Legend, LegendItem, Span, Title
-from bokeh.models.glyphs import Line, Patch, Rect, Scatter
+from bokeh.models.annotations import Label, Legend, LegendItem, Title
+from bokeh.models.glyphs import HSpan, HStrip, MultiLine, Patches, Rect, Scatter, Text, VSpan, VStrip
 from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 
-from emps_design.report.loop_figures import broken_loops
-from emps_design.report.style import BLACK, BLUE, GREEN, GREY, RED
+from emps_design.figures import BLACK, GREY, RED, TURN, Area, Axes, Band, Curve, Level
+from emps_design.report.loop_figures import FREQUENCY, bode_axes, broken_loops, nyquist_axes, step_axes, z_plane
 from emps_design.stretches import stretches
 from emps_design.studio.ranges import CHOICES, choices_of
 from emps_design.studio.state import State
@@ -36,7 +39,10 @@ KINDS = ("no positive gains", "sampled loop unstable", "below the required margi
 
 TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 ASPECT = 1.28  # width over height: two rows fit both screens
-_TURN = np.linspace(0.0, 2.0 * np.pi, 120)
+DASHES = {"-": "solid", "--": "dashed", ":": "dotted"}
+CROSSES = ("x", "X", "P")
+CORNERS = {"lower right": "bottom_right", "lower left": "bottom_left"}  # of a legend
+MARKS = {"o": "circle", "s": "square", "x": "x", "X": "x", "P": "cross", "^": "triangle", "D": "diamond"}
 
 
 @dataclass(frozen=True)
@@ -210,22 +216,11 @@ def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any) ->
     return plot
 
 
-def _frame(plot: figure, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Let ``plot`` show at least these ranges with equal scales, whatever its data are."""
-    corners = _points(plot, _source(x=list(x), y=list(y)), "x", "y", fill_alpha=0.0, line_alpha=0.0)
-    plot.x_range = DataRange1d(renderers=[corners], range_padding=0.0)
-    plot.y_range = DataRange1d(renderers=[corners], range_padding=0.0)
-
-
 def _source(*names: str, **columns: Any) -> ColumnDataSource:
     return ColumnDataSource({name: [] for name in names} | columns)
 
 
 # Glyphs are added directly: the methods of a figure make four more of each, for selections that are not used here.
-def _line(plot: figure, source: ColumnDataSource, x: str, y: str, **look: Any) -> GlyphRenderer:
-    return plot.add_glyph(source, Line(x=x, y=y, **look))
-
-
 def _points(plot: figure, source: ColumnDataSource, x: str, y: str, **look: Any) -> GlyphRenderer:
     return plot.add_glyph(source, Scatter(x=x, y=y, **look))
 
@@ -235,154 +230,176 @@ def _legend(items: list[LegendItem], **look: Any) -> Legend:
     return Legend(items=items, label_text_font_size="10px", **look)
 
 
+class LivePlot:
+    """A figure that shows :class:`~emps_design.figures.Axes`; showing others changes its data only.
+
+    Its own ``y_range`` and ``ticks`` hold whatever it shows, so that the eye keeps its scale while a control turns.
+    The names of levels are left out: there is no room.
+    """
+
+    def __init__(
+        self, title: str, y_range: tuple[float, float] | None = None, ticks: Sequence[float] = (), **look: Any
+    ):
+        """``look`` are options of the figure; without ``y_range`` its scales are equal, and its ends those shown."""
+        self.plot = plot = blank(title, "", "", match_aspect=y_range is None, **look)
+        self.corners = _source("x", "y")
+        if y_range is None:
+            frame = _points(plot, self.corners, "x", "y", fill_alpha=0.0, line_alpha=0.0)
+            plot.x_range = DataRange1d(renderers=[frame], range_padding=0.0)
+            plot.y_range = DataRange1d(renderers=[frame], range_padding=0.0)
+        else:
+            plot.x_range, plot.y_range = (
+                look.get("x_range") or Range1d(start=1.0, end=2.0),
+                Range1d(start=y_range[0], end=y_range[1]),
+            )
+        if ticks:
+            plot.yaxis.ticker = FixedTicker(ticks=list(ticks))
+        line: dict[str, Any] = {"line_color": "color", "line_width": "width"}
+        fill: dict[str, Any] = {"fill_color": "color", "fill_alpha": "alpha", "line_color": None}
+        dashed: dict[str, Any] = {**line, "line_dash": "dash"}
+        mark: dict[str, Any] = {"marker": "mark", "size": "size", "fill_color": "color", **line}
+        text: dict[str, Any] = {"x_offset": "right", "y_offset": "down", "text_align": "align", "text_color": "color"}
+        glyphs = {
+            "areas": Patches(xs="xs", ys="ys", **fill),
+            "bands x": VStrip(x0="low", x1="high", **fill),
+            "bands y": HStrip(y0="low", y1="high", **fill),
+            "levels x": VSpan(x="at", **dashed),
+            "levels y": HSpan(y="at", **dashed),
+            "lines": MultiLine(xs="xs", ys="ys", line_alpha="alpha", **dashed),
+            "marks": Scatter(x="x", y="y", **mark),
+            "remarks": Text(x="x", y="y", text="text", text_font_size="11px", text_baseline="middle", **text),
+        }
+        self.sources = {name: _source(*_columns(glyph)) for name, glyph in glyphs.items()}
+        self.drawn = {name: plot.add_glyph(self.sources[name], glyph) for name, glyph in glyphs.items()}
+        self.named: list[tuple[str, str, int]] = []
+        self.legend = _legend([], padding=4, spacing=0, visible=False)
+        plot.add_layout(self.legend)
+        self.remark = Label(x=8, y=60, x_units="screen", y_units="screen", text="", text_color=RED)
+        self.remark.text_font_size = "13px"
+        plot.add_layout(self.remark)
+
+    def show(self, axes: Axes) -> None:
+        """Show ``axes``."""
+        rows: dict[str, list[dict[str, Any]]] = {name: [] for name in self.sources}
+        named = []
+        for part in axes.parts:
+            if isinstance(part, Curve):
+                kind = "lines" if part.line else "marks"
+                if part.label:
+                    named.append((part.label, kind, len(rows[kind])))
+                if part.line:
+                    rows["lines"].append(_styled(part, xs=part.x, ys=part.y, alpha=part.alpha))
+                rows["marks"] += _marks_of(part) if part.mark else []
+            elif isinstance(part, Area):
+                rows["areas"].append({"xs": part.x, "ys": part.y, "color": part.color, "alpha": part.alpha})
+            elif isinstance(part, Band):
+                look = {"color": part.color, "alpha": part.alpha}
+                rows[f"bands {part.axis}"].append({"low": part.low, "high": part.high, **look})
+            elif isinstance(part, Level):
+                rows[f"levels {part.axis}"].append(_styled(part, at=part.at))
+            else:
+                right, up = part.offset
+                align = "right" if right < 0.0 else "left"
+                place = {"x": part.x, "y": part.y, "right": right, "down": -up, "align": align}
+                rows["remarks"].append({**place, "text": part.text, "color": part.color})
+        for name, source in self.sources.items():
+            shown = rows[name]
+            if shown or len(next(iter(source.data.values()))):
+                source.data = {column: [row[column] for row in shown] for column in source.data}
+        self._name(named if axes.legend else [], axes.legend)
+        self.plot.xaxis.axis_label, self.plot.yaxis.axis_label = axes.x, axes.y
+        self.remark.text = axes.remark
+        if axes.square:
+            self.corners.data = {"x": list(axes.x_range), "y": list(axes.y_range)}
+        else:
+            self.plot.x_range.update(start=axes.x_range[0], end=axes.x_range[1])
+
+    def _name(self, named: list[tuple[str, str, int]], place: str) -> None:
+        """Show a legend at ``place`` that names curves: label, kind of glyph, and row of its source, each."""
+        self.legend.visible = bool(named)
+        if named and named != self.named:
+            self.named = named
+            self.legend.location = cast(Any, CORNERS[place])
+            self.legend.items = [
+                LegendItem(label=value(label), renderers=[self.drawn[kind]], index=row) for label, kind, row in named
+            ]
+
+
+def _columns(glyph: Any) -> set[str]:
+    """The columns of a source that ``glyph`` reads."""
+    values = glyph.properties_with_values(include_defaults=False).values()
+    return {read.field for read in values if isinstance(read, Field)}
+
+
+def _styled(part: Curve | Level, **columns: Any) -> dict[str, Any]:
+    return {**columns, "color": part.color, "width": 1.25 * part.width, "dash": DASHES[part.line]}
+
+
+def _marks_of(curve: Curve) -> list[dict[str, Any]]:
+    """A row for each point of ``curve``; a cross has lines as thick as it needs."""
+    look = {
+        "mark": MARKS[curve.mark],
+        "size": 1.4 * curve.size,
+        "color": curve.color,
+        "width": 3 if curve.mark in "xXP" else 1,
+    }
+    return [{"x": x, "y": y, **look} for x, y in zip(curve.x, curve.y, strict=True)]
+
+
 class LoopPlots:
     """Bode, Nyquist, poles and step of a design, with a pinned design to compare with, and the requirements shaded."""
 
     def __init__(self) -> None:
-        self.lines = {
-            key: _source("w", "magnitude", "phase", "re", "im") for key in ("continuous", "sampled", "pinned")
-        }
-        self.steps = {key: _source("t", "y") for key in ("continuous", "sampled", "pinned")}
-        self.poles = {key: _source("re", "im") for key in ("inside", "outside", "pinned")}
-        self.marks = _source("w", "phase", "re", "im", "color")
-        self.nyquist_frequency = [Span(dimension="height", line_color=GREEN, line_dash="dashed") for _ in range(2)]
-        self.phase_band = BoxAnnotation(bottom=-180, top=-150, fill_color=RED, fill_alpha=0.10)
-        self.overshoot_band = BoxAnnotation(bottom=1.2, fill_color=RED, fill_alpha=0.10)
-        self.circle = _source("re", "im")
-        self.magnitude, self.phase = self._bode()
-        self.nyquist = self._nyquist()
-        self.step = self._step()
-        self.z_plane = self._z_plane()
+        self.magnitude = LivePlot("Bode: magnitude", (-70.0, 60.0), (-60, -30, 0, 30, 60), x_axis_type="log")
+        log = {"x_axis_type": "log", "x_range": self.magnitude.plot.x_range}
+        self.phase = LivePlot("Bode: phase", (-370.0, -60.0), (-360, -270, -180, -90), **log)
+        self.nyquist = LivePlot("Nyquist")
+        self.step = LivePlot("Step of the velocity reference", (0.0, 1.6))
+        self.z_plane = LivePlot("Poles of the sampled loop, z plane")
+        tips = [("frequency", "$snap_x{0.0} rad/s"), ("phase", "$snap_y{0.0}°")]
+        self.phase.plot.add_tools(HoverTool(tooltips=tips, renderers=[self.phase.drawn["lines"]]))
+        self.shown: dict[str, Axes] = {}
+        self.pinned: dict[str, tuple[Curve, ...]] = {}
 
-    def _bode(self) -> tuple[figure, figure]:
-        magnitude = blank("Bode: magnitude", "frequency [rad/s]", "magnitude [dB]", x_axis_type="log")
-        phase = blank(
-            "Bode: phase",
-            "frequency [rad/s]",
-            "phase [deg]",
-            x_axis_type="log",
-            x_range=magnitude.x_range,
-        )
-        for plot, column, level in ((magnitude, "magnitude", 0.0), (phase, "phase", -180.0)):
-            for key, color, dash in _LINES:
-                _line(plot, self.lines[key], "w", column, line_color=color, line_dash=dash, line_width=2)
-            plot.add_layout(Span(location=level, dimension="width", line_color=BLACK, line_dash="dashed", line_width=1))
-        magnitude.add_layout(self.nyquist_frequency[0])
-        phase.add_layout(self.nyquist_frequency[1])
-        phase.add_layout(self.phase_band)
-        _points(phase, self.marks, "w", "phase", fill_color="color", line_color="color", size=8)
-        magnitude.yaxis.ticker = FixedTicker(ticks=[-60, -30, 0, 30, 60])
-        phase.yaxis.ticker = FixedTicker(ticks=[-360, -270, -180, -90])
-        magnitude.y_range = Range1d(start=-70, end=60)
-        phase.y_range = Range1d(start=-370, end=-60)
-        phase.add_tools(HoverTool(tooltips=[("frequency", "@w{0.0} rad/s"), ("phase", "@phase{0.0}°")]))
-        return magnitude, phase
-
-    def _nyquist(self) -> figure:
-        plot = blank("Nyquist", "real part", "imaginary part", match_aspect=True)
-        plot.add_glyph(self.circle, Patch(x="re", y="im", fill_color=RED, fill_alpha=0.10, line_color=None))
-        _line(plot, _source(x=np.cos(_TURN), y=np.sin(_TURN)), "x", "y", line_color=GREY, line_dash="dashed")
-        for key, color, dash in _LINES:
-            _line(plot, self.lines[key], "re", "im", line_color=color, line_dash=dash, line_width=2)
-        _points(plot, self.marks, "re", "im", fill_color="color", line_color="color", size=8)
-        _points(plot, _source(x=[-1.0], y=[0.0]), "x", "y", marker="cross", size=14, line_color=BLACK, line_width=3)
-        _frame(plot, (-2.3, 1.2), (-2.2, 1.2))
-        return plot
-
-    def _step(self) -> figure:
-        plot = blank("Step of the velocity reference", "time [ms]", "velocity / reference")
-        plot.add_layout(self.overshoot_band)
-        plot.add_layout(BoxAnnotation(bottom=0.98, top=1.02, fill_color=GREY, fill_alpha=0.15))
-        items = []
-        for key, color, dash in _LINES:
-            line = _line(plot, self.steps[key], "t", "y", line_color=color, line_dash=dash, line_width=2)
-            items.append(LegendItem(label=key, renderers=[line]))
-        self.pinned_item = items[-1]
-        self.pinned_item.visible = False
-        plot.add_layout(_legend(items, location="bottom_right", padding=4, spacing=0))
-        plot.y_range = Range1d(start=0.0, end=1.6)
-        self.unstable_note = Label(
-            x=8, y=60, x_units="screen", y_units="screen", text="", text_color=RED, text_font_size="13px"
-        )
-        plot.add_layout(self.unstable_note)
-        return plot
-
-    def _z_plane(self) -> figure:
-        plot = blank("Poles of the sampled loop, z plane", "real part", "imaginary part", match_aspect=True)
-        disk = _source(x=np.cos(_TURN), y=np.sin(_TURN))
-        plot.add_glyph(disk, Patch(x="x", y="y", fill_color="#EEF7FD", line_color=BLACK))
-        for key, look in (
-            ("pinned", {"marker": "diamond", "size": 9, "line_color": GREY, "fill_color": GREY, "fill_alpha": 0.3}),
-            ("inside", {"marker": "x", "size": 11, "line_color": BLUE, "line_width": 3}),
-            ("outside", {"marker": "x", "size": 13, "line_color": RED, "line_width": 4}),
-        ):
-            _points(plot, self.poles[key], "re", "im", **look)
-        _frame(plot, (-1.2, 1.2), (-1.2, 1.2))
-        return plot
-
-    def update(self, design: VelocityLoopDesign, place: str) -> None:
-        """Show ``design``, its loop broken at ``place``."""
+    def update(self, design: VelocityLoopDesign, state: State) -> None:
+        """Show ``design``, its loop broken at the place of ``state``, and what the requirements of that forbid."""
         from emps_design.control.verdict import step_responses
 
-        loop = broken_loops(design, 250)[0 if place == "velocity error" else 1]
-        for key, curve in (("continuous", loop.continuous), ("sampled", loop.sampled)):
-            self.lines[key].data = _curve_data(curve)
-        marks: dict[str, list] = {"w": [], "phase": [], "re": [], "im": [], "color": []}
-        for curve in loop.curves:
-            w, margin = curve.margins.crossover, curve.margins.phase_margin_deg
-            if w is not None and margin is not None:  # an unstable loop has neither
-                at = complex(curve.response(np.array([w]))[0])
-                marks["w"].append(w)
-                marks["phase"].append(margin - 180.0)
-                marks["re"].append(at.real)
-                marks["im"].append(at.imag)
-                marks["color"].append(curve.color)
-        self.marks.data = marks
-        for span in self.nyquist_frequency:
-            span.location = math.pi / design.axis.sampling.period
-        continuous, sampled = step_responses(design, 301)
-        self.steps["continuous"].data = {"t": continuous.t * 1e3, "y": continuous.y}
-        self.steps["sampled"].data = {"t": [], "y": []} if sampled is None else {"t": sampled.t * 1e3, "y": sampled.y}
-        self.unstable_note.text = "" if sampled else "sampled loop unstable: no step response"
-        poles = np.asarray(design.sampled.poles)
-        inside = np.abs(poles) < 1.0
-        self.poles["inside"].data = {"re": poles.real[inside], "im": poles.imag[inside]}
-        self.poles["outside"].data = {"re": poles.real[~inside], "im": poles.imag[~inside]}
-
-    def require(self, phase_margin_deg: float, overshoot_percent: float) -> None:
-        """Shade what the requirements forbid."""
-        self.phase_band.top = -180.0 + phase_margin_deg
-        self.overshoot_band.bottom = 1.0 + overshoot_percent / 100.0
-        radius = 2.0 * math.sin(math.radians(phase_margin_deg) / 2.0)  # |1 + L| at a crossover with that margin
-        self.circle.data = {"re": -1.0 + radius * np.cos(_TURN), "im": radius * np.sin(_TURN)}
+        loop = broken_loops(design, 250)[0 if state.place == "velocity error" else 1]
+        magnitude, phase = bode_axes(loop, design.axis.sampling.period)
+        self.shown = {
+            "magnitude": replace(magnitude, x=FREQUENCY),
+            "phase": phase,
+            "nyquist": nyquist_axes(loop),
+            "step": step_axes(*step_responses(design, 301)),
+            "z_plane": z_plane(np.asarray(design.sampled.poles), ""),
+        }
+        margin, overshoot = state.required_phase_deg, state.required_overshoot_percent
+        radius = 2.0 * math.sin(math.radians(margin) / 2.0)  # |1 + L| at a crossover with that margin
+        forbidden: dict[str, Any] = {
+            "phase": Band("y", -180.0, -180.0 + margin, RED, 0.1),
+            "step": Band("y", 1.0 + overshoot / 100.0, 10.0, RED, 0.1),
+            "nyquist": Area(-1.0 + radius * np.cos(TURN), radius * np.sin(TURN), RED, 0.1),
+        }
+        for name, axes in self.shown.items():
+            behind = [forbidden[name]] if name in forbidden else []
+            getattr(self, name).show(replace(axes, parts=(*behind, *axes.parts, *self.pinned.get(name, ()))))
 
     def pin(self) -> None:
-        """Keep the design that is shown as thin grey lines to compare with."""
-        stable = len(self.steps["sampled"].data["t"]) > 0
-        self.lines["pinned"].data = dict(self.lines["sampled"].data)
-        self.steps["pinned"].data = dict(self.steps["sampled" if stable else "continuous"].data)
-        both = [self.poles[key].data for key in ("inside", "outside")]
-        self.poles["pinned"].data = {name: np.concatenate([d[name] for d in both]) for name in ("re", "im")}
-        self.pinned_item.visible = True
+        """Keep the design that is shown in grey, to compare with the next one."""
+        self.pinned = {name: _greyed(axes) for name, axes in self.shown.items()}
 
     def unpin(self) -> None:
-        """Remove the pinned design."""
-        for source in (self.lines["pinned"], self.steps["pinned"], self.poles["pinned"]):
-            source.data = {name: [] for name in source.data}
-        self.pinned_item.visible = False
+        """Remove the pinned design from the next one that is shown."""
+        self.pinned = {}
 
 
-_LINES = (("continuous", BLUE, "solid"), ("sampled", RED, "solid"), ("pinned", GREY, "dotted"))
-
-
-def _curve_data(curve: Any) -> dict[str, np.ndarray]:
-    return {
-        "w": curve.w,
-        "magnitude": curve.magnitude_db,
-        "phase": curve.phase_deg,
-        "re": curve.L.real,
-        "im": curve.L.imag,
-    }
+def _greyed(axes: Axes) -> tuple[Curve, ...]:
+    """The sampled curve of ``axes``, the continuous one if there is no other, or its poles."""
+    look: dict[str, Any] = {"color": GREY, "label": "pinned"}
+    lines = [replace(curve, line=":", mark="", **look) for curve in axes.curves if curve.label and curve.line]
+    poles = [replace(curve, mark="D", color=GREY, label="") for curve in axes.curves if not curve.line]
+    return tuple(lines[-1:] or poles)
 
 
 class PlanePlot:

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from emps_design.report import style
+from emps_design import figures
 from emps_design.report.impedance import VERDICT_COLORS
 
 SEEN_BY = {
@@ -26,8 +26,8 @@ SEEN_BY = {
 }
 TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 TOGETHER = {
-    "lines": [style.BLACK, style.BLUE, style.RED, style.GREEN],
-    "continuous, sampled, pinned": [style.BLUE, style.RED, style.GREY],
+    "lines": [figures.BLACK, figures.BLUE, figures.RED, figures.GREEN],
+    "continuous, sampled, pinned": [figures.BLUE, figures.RED, figures.GREY],
     "verdicts": list(VERDICT_COLORS.values()),
 }
 

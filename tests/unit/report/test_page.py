@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from emps_design import figures
 from emps_design.report import Facts, Html, Line, Page, Picture, Section, Table, style
 from emps_design.report.page import delay, frequency, number, quantity, ratio, with_std
 from emps_design.units import Units
@@ -102,7 +103,7 @@ def test_thinning_keeps_the_extremes():
     t = np.arange(100_000) * 1e-3
     y = np.sin(t)
     y[54_321] = 7.0
-    kept_t, kept_y = style.thin(t, y)
+    kept_t, kept_y = figures.thin(t, y)
     assert kept_y.max() == 7.0
     assert kept_t.size < 2500
     assert np.all(np.diff(kept_t) > 0)

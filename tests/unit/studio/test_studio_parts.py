@@ -27,8 +27,10 @@ from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.gains import PI_WITH_REFERENCE_FILTER
 from emps_design.discrepancy.closest import Closest
 from emps_design.errors import EmpsError, InputError, RecordError, SpecificationError
+from emps_design.figures import BLUE, GREY, RED
 from emps_design.laws.library.cascade import Filter
 from emps_design.machines import machine, machine_names
+from emps_design.report import velocity_loop_figures
 from emps_design.simulation.scenarios import follow
 from emps_design.simulation.synthetic import synthetic_record, there_and_back
 from emps_design.studio import controls, files_view, panes
@@ -320,12 +322,14 @@ def test_the_columns_of_an_export_are_chosen_and_read():
 def test_pinning_keeps_the_design_beside_the_new_one():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     view.pin.value = True
-    kept = list(view.plots.lines["pinned"].data["w"])
+    lines = view.plots.nyquist.sources["lines"]
+    kept = list(lines.data["xs"][-1])
+    assert lines.data["color"].count(GREY) == 2  # the unit circle, and the pinned design
     view.knobs["frequency"].field.value = "150"
     assert "pinned" in view.numbers.object
-    assert list(view.plots.lines["pinned"].data["w"]) == kept
+    assert list(lines.data["xs"][-1]) == kept
     view.pin.value = False
-    assert len(view.plots.lines["pinned"].data["w"]) == 0
+    assert lines.data["color"].count(GREY) == 1
 
 
 def test_a_loaded_state_shows_in_every_tab_with_its_pinned_design():
@@ -805,14 +809,25 @@ def test_poles_outside_the_unit_circle_are_told_from_those_inside():
     plots = LoopPlots()
     for crossover, outside in ((100.0, 0), (3000.0, 1)):
         design = design_velocity_loop(machine("emps2018"), crossover=crossover)
-        plots.update(design, "velocity error")
-        sizes = {
-            key: np.hypot(*(plots.poles[key].data[name] for name in ("re", "im"))) for key in ("inside", "outside")
-        }
-        assert np.all(sizes["inside"] < 1.0)
-        assert np.all(sizes["outside"] >= 1.0)
-        assert len(sizes["inside"]) + len(sizes["outside"]) == len(design.sampled.poles)
-        assert (len(sizes["outside"]) > 0) == outside
+        plots.update(design, state(place="velocity error"))
+        poles = plots.z_plane.sources["marks"].data
+        size, color = np.hypot(poles["x"], poles["y"]), np.array(poles["color"])
+        assert np.all(size[color == BLUE] < 1.0)
+        assert np.all(size[color == RED] >= 1.0)
+        assert len(size) == len(design.sampled.poles)
+        assert (np.sum(color == RED) > 0) == outside
+        assert plots.z_plane.legend.visible == outside
+
+
+def test_the_studio_draws_what_the_page_draws():
+    plots, design = LoopPlots(), design_velocity_loop(machine("emps2018"), crossover=100.0)
+    plots.update(design, state(place="plant input"))
+    figure = velocity_loop_figures(design)["bode_plant_input"]
+    for live, axes in zip((plots.magnitude, plots.phase), figure.axes, strict=False):
+        drawn = [(line.get_color(), line.get_ydata()[0]) for line in axes.get_lines() if len(line.get_xdata()) > 100]
+        shown = live.sources["lines"].data
+        assert [(c, y[0]) for c, y in zip(shown["color"], shown["ys"], strict=True) if len(y) > 100] == drawn
+        assert live.plot.yaxis.axis_label == axes.get_ylabel()
 
 
 def test_the_report_of_a_state_is_asked_for_what_the_controls_hold(monkeypatch):

@@ -1,0 +1,254 @@
+"""What a figure shows, as data: curves, areas, bands and levels on axes with labels and units.
+
+A figure is described once, beside what it shows. :func:`draw_on` renders axes with matplotlib, for a page and for
+``plot()``; the studio renders the same axes with Bokeh. Line styles and marks have the names of matplotlib.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Okabe and Ito's palette: distinct under the common forms of colour blindness and in grey print.
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+PURPLE, YELLOW, BLACK = "#CC79A7", "#F0E442", "#1A1A1A"
+GREY = "#6B7280"
+PALE_GREY, PALE_BLUE = "#E5E7EB", "#EEF7FD"  # of what stands behind curves
+
+TURN = np.linspace(0.0, 2.0 * np.pi, 300)  # rad, angles of a circle
+SMALL = 8.5  # points, type of a remark
+Values = Sequence[float] | np.ndarray
+Range = tuple[float | None, float | None]
+NOT_GIVEN: Range = (None, None)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Points ``x``, ``y`` (n,) with a ``line`` through them, "" for none, and a ``mark`` of ``size`` [points] at each.
+
+    A legend has the ``label``, in print with ``detail`` after it.
+    """
+
+    x: Values
+    y: Values
+    label: str = ""
+    color: str = BLUE
+    line: str = "-"
+    width: float = 1.6
+    mark: str = ""
+    size: float = 5.0
+    alpha: float = 1.0
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Area:
+    """A filled polygon with the corners ``x``, ``y`` (n,)."""
+
+    x: Values
+    y: Values
+    color: str = GREY
+    alpha: float = 1.0
+    label: str = ""
+
+    @classmethod
+    def between(cls, x: np.ndarray, low: np.ndarray, high: np.ndarray, label: str = "") -> Area:
+        """The band of a curve over ``x`` (n,), from ``low`` to ``high`` (n,).
+
+        >>> Area.between(np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.array([3.0, 4.0])).y.tolist()
+        [1.0, 2.0, 4.0, 3.0]
+        """
+        return cls(np.concatenate([x, x[::-1]]), np.concatenate([low, high[::-1]]), BLUE, 0.25, label)
+
+
+@dataclass(frozen=True)
+class Band:
+    """What lies between ``low`` and ``high`` of ``axis``, "x" or "y", over the whole of the other one."""
+
+    axis: str
+    low: float
+    high: float
+    color: str = PALE_GREY
+    alpha: float = 1.0
+    label: str = ""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A straight line at a value ``at`` of ``axis``, "x" or "y", across the whole figure; print names it ``text``."""
+
+    axis: str
+    at: float
+    color: str = GREY
+    line: str = "-"
+    width: float = 0.8
+    text: str = ""
+
+
+class Remark(NamedTuple):
+    """``text`` at a point of the axes, moved by ``offset`` [points]: to its left where that is negative."""
+
+    x: float
+    y: float
+    text: str
+    color: str = BLACK
+    offset: tuple[float, float] = (0.0, 0.0)
+    size: float = SMALL
+
+
+@dataclass(frozen=True)
+class Axes:
+    """``parts`` on axes with the labels ``x`` and ``y``, units included, in the order in which they are drawn.
+
+    ``log`` names those with a logarithmic scale, "x" or "xy"; ``x_range`` and ``y_range`` are their ends, None where
+    these follow from the data, and ``room`` is the share of the height that is left free above. ``ticks`` is the
+    distance of the numbers of y. ``legend`` is the place of a legend, in ``columns``. ``square`` axes have equal
+    scales, ``hertz`` adds a scale in Hz to one in rad/s, and ``remark`` is a sentence over all.
+    """
+
+    parts: tuple[Curve | Area | Band | Level | Remark, ...]
+    x: str = ""
+    y: str = ""
+    title: str = ""
+    log: str = ""
+    x_range: Range = NOT_GIVEN
+    y_range: Range = NOT_GIVEN
+    ticks: float | None = None
+    legend: str = ""
+    columns: int = 1
+    square: bool = False
+    hertz: bool = False
+    room: float = 0.0
+    remark: str = ""
+
+    @property
+    def curves(self) -> tuple[Curve, ...]:
+        """The curves among its parts."""
+        return tuple(part for part in self.parts if isinstance(part, Curve))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """``rows`` of axes in one figure, ``height`` [in] high; axes above one another may share their scale of x.
+
+    ``heights`` are those of the rows relative to each other; ``legend`` is the place of one for all curves of the first
+    axes, outside of them.
+    """
+
+    rows: tuple[tuple[Axes, ...], ...]
+    height: float = 3.2
+    heights: tuple[float, ...] = ()
+    share_x: bool = True
+    legend: str = ""
+    columns: int = 2
+
+    @property
+    def axes(self) -> tuple[Axes, ...]:
+        """All axes, row by row."""
+        return tuple(axes for row in self.rows for axes in row)
+
+    @classmethod
+    def of(cls, *axes: Axes, **options: Any) -> Grid:
+        """``axes`` one above the other."""
+        return cls(tuple((each,) for each in axes), **options)
+
+
+def thin(x: np.ndarray, y: np.ndarray, bins: int = 900) -> tuple[np.ndarray, np.ndarray]:
+    """Return at most ``2 bins`` points of (x, y) that draw the same line: the extremes of each bin, in order.
+
+    >>> x = np.linspace(0, 1, 10_000)
+    >>> kept_x, kept_y = thin(x, np.sin(50 * x), bins=100)
+    >>> bool(kept_x.size <= 200 and kept_y.max() > 0.999)
+    True
+    """
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    if x.size <= 2 * bins:
+        return x, y
+    width = -(-x.size // bins)
+    full = x.size // width * width
+    blocks = y[:full].reshape(-1, width)
+    start = np.arange(blocks.shape[0]) * width
+    low, high = start + blocks.argmin(axis=1), start + blocks.argmax(axis=1)
+    kept = np.unique(np.concatenate([[0], low, high, np.arange(full, x.size)[:: max(1, width // 2)], [x.size - 1]]))
+    return x[kept], y[kept]
+
+
+def draw_on(axes: Any, drawn: Axes) -> None:
+    """Draw ``drawn`` on the matplotlib ``axes``."""
+    for part in drawn.parts:
+        if isinstance(part, Curve):
+            axes.plot(
+                part.x, part.y, color=part.color, linestyle=part.line, linewidth=part.width, marker=part.mark,
+                markersize=part.size, markeredgewidth=2.0 if part.mark == "x" else None, alpha=part.alpha,
+                label=": ".join(filter(None, (part.label, part.detail))) or None,
+            )  # fmt: skip
+        elif isinstance(part, Area):
+            axes.fill(part.x, part.y, color=part.color, alpha=part.alpha, linewidth=0, label=part.label or None)
+        elif isinstance(part, Band):
+            across = axes.axvspan if part.axis == "x" else axes.axhspan
+            look = {"color": part.color, "alpha": part.alpha, "linewidth": 0, "label": part.label or None}
+            across(part.low, part.high, **look)
+        elif isinstance(part, Level):
+            across = axes.axvline if part.axis == "x" else axes.axhline
+            across(part.at, color=part.color, linestyle=part.line, linewidth=part.width)
+        else:
+            side = "right" if part.offset[0] < 0.0 else "left"
+            axes.annotate(
+                part.text, (part.x, part.y), xytext=part.offset, textcoords="offset points", ha=side, va="center",
+                fontsize=part.size, color=part.color,
+            )  # fmt: skip
+    _frame(axes, drawn)
+    _name_levels(axes, drawn)
+
+
+def _frame(axes: Any, drawn: Axes) -> None:
+    """Scales, ends, labels and legend."""
+    for axis in drawn.log:
+        axes.set(**{f"{axis}scale": "log"})
+    axes.set(xlabel=drawn.x, ylabel=drawn.y)
+    axes.set_title(drawn.title, parse_math=False)  # a name may hold a dollar
+    if drawn.square:
+        axes.set_aspect("equal", adjustable="box")
+    if drawn.x_range == NOT_GIVEN:
+        axes.margins(x=0.01)
+    else:
+        axes.set_xlim(*drawn.x_range)
+    if drawn.y_range != NOT_GIVEN:
+        axes.set_ylim(*drawn.y_range)
+    if drawn.room:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + drawn.room * (high - low))
+    if drawn.ticks:
+        from matplotlib.ticker import MultipleLocator
+
+        axes.yaxis.set_major_locator(MultipleLocator(drawn.ticks))
+    if drawn.hertz:
+        top = axes.secondary_xaxis("top", functions=(lambda w: w / (2 * np.pi), lambda f: f * (2 * np.pi)))
+        top.set_xlabel("frequency [Hz]")
+    if drawn.legend:
+        axes.legend(loc=drawn.legend, ncols=drawn.columns)
+    if drawn.remark:
+        box = {"boxstyle": "round,pad=0.35", "facecolor": "white", "edgecolor": "#D1D5DB", "alpha": 0.92}
+        axes.text(0.35, 0.55, drawn.remark, transform=axes.transAxes, fontsize=SMALL, bbox=box)
+
+
+def _name_levels(axes: Any, drawn: Axes) -> None:
+    """Write the names of levels along them, those of y at the left end."""
+    for level in drawn.parts:
+        if not isinstance(level, Level) or not level.text:
+            continue
+        upright = level.axis == "x"
+        axes.annotate(
+            level.text,
+            (level.at, 0.5) if upright else (0.0, level.at),
+            xycoords=("data", "axes fraction") if upright else ("axes fraction", "data"),
+            xytext=(3, 0) if upright else (4, 3),
+            textcoords="offset points",
+            va="center" if upright else "bottom",
+            rotation=90 if upright else 0,
+            fontsize=SMALL,
+            color=level.color,
+        )
