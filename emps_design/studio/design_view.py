@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import panel as pn
 
+from emps_design import view
 from emps_design.advice import advise
 from emps_design.errors import EmpsError
 from emps_design.report.page import LEVELS, angle, delay, html as markup, number, quantity, ratio, sentence_of
 from emps_design.studio.controls import FilterRows, Knob
-from emps_design.studio.panes import AxisFile, bold, html, judgement, message, table
+from emps_design.studio.panes import AxisFile, bold, html, judgement, message
 from emps_design.studio.plots import LoopPlots, PlanePlot, feasible, plane
 from emps_design.studio.ranges import requirements
 from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, differences_in_words, taken_for
+from emps_design.view import Line, Table, View
 
 if TYPE_CHECKING:
     from emps_design.axis import Axis
@@ -41,9 +43,8 @@ def _check(good: bool) -> str:
     return bold("meets", "yes") if good else bold("fails", "no")
 
 
-def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> str:
-    """Return gains and margins as HTML, with those of the pinned design, and whether the requirements are met."""
-
+def numbers_view(state: State, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> View:
+    """Gains and margins of ``design`` and of the pinned one, and whether the requirements are met."""
     units = design.axis.units
 
     def row(name: str, shown: VelocityLoopDesign) -> tuple[str, ...]:
@@ -79,17 +80,23 @@ def numbers_table(state: State, design: VelocityLoopDesign, pinned: VelocityLoop
         "closed loop −3 dB, sampled [rad/s]",
     )
     rows = [row("this design", design), *([row("pinned", pinned)] if pinned is not None else [])]
-    return f"{table(headings, rows)}{_requirements(state, design)}"
+    return Table(headings, rows), _requirements(state, design)
 
 
-def _requirements(state: State, design: VelocityLoopDesign) -> str:
+def _requirements(state: State, design: VelocityLoopDesign) -> Line:
     achieved = requirements(design, state.required_phase_deg, state.required_overshoot_percent)
     if achieved is None:
-        return f'<p class="requirements">{bold("The sampled loop is unstable: no requirement is met.", "no")}</p>'
-    return (
-        f'<p class="requirements">Phase margin {angle(achieved.phase_margin_deg)} of {angle(state.required_phase_deg)} '
-        f"required: {_check(achieved.phase_met)} · overshoot {achieved.overshoot_percent:.1f} % of "
-        f"{state.required_overshoot_percent:g} % allowed: {_check(achieved.overshoot_met)}</p>"
+        return Line(bold("The sampled loop is unstable: no requirement is met.", "no"))
+    return Line(
+        markup(
+            "Phase margin {} of {} required: {} · overshoot {} % of {} % allowed: {}",
+            angle(achieved.phase_margin_deg),
+            angle(state.required_phase_deg),
+            _check(achieved.phase_met),
+            f"{achieved.overshoot_percent:.1f}",
+            f"{state.required_overshoot_percent:g}",
+            _check(achieved.overshoot_met),
+        )
     )
 
 
@@ -103,11 +110,11 @@ def verdict_message(design: VelocityLoopDesign) -> str:
     return judgement(sentence_of(advice.text), LEVELS[advice.level][0])
 
 
-def laws_table(state: State, design: VelocityLoopDesign) -> str:
-    """Return force loop and impedance law of the state as HTML."""
+def laws_view(state: State, design: VelocityLoopDesign) -> View:
+    """Force loop and impedance law of ``state``."""
     cells = [("", ""), *_force_cells(state, design), *_impedance_cells(state)]
     headings, values = zip(*cells, strict=True)
-    return table(headings, [values])
+    return (Table(headings, [values]),)
 
 
 def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, str]]:
@@ -404,8 +411,8 @@ class DesignView:
             self.plane.color(regions)
             self._plane = regions
         self.plane.show(state.specification, self.design, self.pinned)
-        self.numbers.object = numbers_table(state, self.design, self.pinned)
-        self.laws.object = laws_table(state, self.design)
+        self.numbers.object = view.html(numbers_view(state, self.design, self.pinned))
+        self.laws.object = view.html(laws_view(state, self.design))
 
     def _say(self, text: str, level: str) -> None:
         self.message.object = message(text, level) if text else ""

@@ -29,8 +29,9 @@ from emps_design.report.record import motion_figure, tracking_figure
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
 from emps_design.studio.files_view import BUTTON, designed, drive_zip, follows, velocity_design
-from emps_design.studio.panes import Job, html, judgement, message, table
+from emps_design.studio.panes import Job, html, judgement, message
 from emps_design.studio.state import FEEDFORWARDS, State
+from emps_design.view import Table, View, Viewed
 
 if TYPE_CHECKING:
     from emps_design.control.position import PositionLoopDesign
@@ -63,7 +64,7 @@ prove it: <code>make check</code> in <code>code</code> runs them.</p>
 
 
 @dataclass(frozen=True)
-class MotionRuns:
+class MotionRuns(Viewed):
     """Runs along one reference by the names of their controllers; ``notes`` say why a run is missing."""
 
     state: State
@@ -99,18 +100,17 @@ class MotionRuns:
     def _length(self, value: float) -> str:
         return quantity(value, "m", units=self.state.axis.units)
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """Return the row of headings, then a row of numbers for each run."""
-        rows: list[tuple[str, ...]] = [
-            ("", "error, rms", "error, largest", "velocity, largest", "command, largest", "at its limit")
-        ]
+    def view(self) -> View:
+        """The tracking error, the largest velocity and command, and the share at its limit, a row for each run."""
+        units, rows = self.state.axis.units, []
         for name, followed in self.runs.items():
             document = followed.to_dict()
             error, most = document["tracking_error"], document["largest"]
-            numbers = ((error["rms"], "m"), (error["largest"], "m"), (most["velocity"], "m/s"), (most["voltage"], "V"))
+            numbers = (error["rms"], "m"), (error["largest"], "m"), (most["velocity"], "m/s"), (most["voltage"], "V")
             share = f"{100.0 * document['saturated_share']:.3g} %"
-            rows.append((name, *(quantity(value, unit, units=self.state.axis.units) for value, unit in numbers), share))
-        return rows
+            rows.append((name, *(quantity(value, unit, units=units) for value, unit in numbers), share))
+        headings = ("", "error, rms", "error, largest", "velocity, largest", "command, largest", "at its limit")
+        return (Table(headings, rows),)
 
 
 def design_loop(state: State) -> PositionLoopDesign:
@@ -260,8 +260,7 @@ class MotionView:
         level, text = motion_runs.verdict()
         notes = "".join(f"<br>{inline(note)}" for note in motion_runs.notes)
         self.message.object = judgement(text, level, notes)
-        headings, *rows = motion_runs.rows()
-        self.table.object = table(headings, rows)
+        self.table.object = view.html(motion_runs.view())
         self.picture.object = drawn
 
 

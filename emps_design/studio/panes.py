@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from importlib.resources import files
 from pathlib import PurePath
@@ -17,12 +17,11 @@ from typing import Any
 
 import panel as pn
 
-from emps_design import view
 from emps_design.axis import Axis
 from emps_design.errors import EmpsError
 from emps_design.machines import machine_names
 from emps_design.report.page import LEVELS, html as markup, inline
-from emps_design.view import Cell, Html
+from emps_design.view import Html
 
 STYLE = """
 .message { padding: 5px 10px; border-left: 5px solid #56b4e9; background: #eef7fd; font-size: 13px; margin: 2px 0 4px; }
@@ -40,7 +39,6 @@ p { font-size: 13px; max-width: 900px; }
 p.caption { color: #374151; margin: 2px 4px 10px; font-size: 12.5px; }
 b.yes { color: #00664b; }
 b.no { color: #b3261e; }
-p.requirements { margin: 4px 4px 0; font-size: 12.5px; }
 div.record { max-width: 880px; }
 svg { width: 100%; height: auto; max-width: 980px; }
 h3 { margin: 6px 0; font-size: 15px; }
@@ -69,15 +67,6 @@ def judgement(text: str, level: str, more: str = "") -> str:
     """
     title = dict(LEVELS.values())[level]
     return message("", level, f"<b>{title}</b> {inline(text)}{more}")
-
-
-def table(headings: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
-    """Return ``rows`` under ``headings`` as HTML; the first cell of a row is its heading.
-
-    >>> table(("", "masses"), [("found", "two")])
-    '<table><thead><tr><th></th><th>masses</th></tr></thead><tbody><tr><th>found</th><td>two</td></tr></tbody></table>'
-    """
-    return view.html((view.Table(headings, rows, words=headings),))
 
 
 def bold(text: str, kind: str = "") -> Html:

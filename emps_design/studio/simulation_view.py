@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import panel as pn
 
+from emps_design import view
 from emps_design.laws.law import left_out
 from emps_design.progress import Progress, no_progress, of_part
 from emps_design.report.page import inline, quantity
 from emps_design.report.style import labelled, svg
 from emps_design.studio.controls import Field, after_this_event
-from emps_design.studio.panes import Job, bold, html, judgement, message, table
+from emps_design.studio.panes import Job, bold, html, judgement, message
 from emps_design.studio.state import State
+from emps_design.view import Table, View, Viewed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +52,7 @@ many random plants as asked for; then a push into the wall.</p>
 
 
 @dataclass(frozen=True)
-class Simulated:
+class Simulated(Viewed):
     """The runs by name, the study over the mismatch, and the push into the wall."""
 
     state: State
@@ -96,8 +98,8 @@ class Simulated:
         still = "" if last == run.v.size - 1 else f"; the curve drawn stands from {since} on"
         return f"in a limit cycle, with velocities from {low} to {high} long after the release{still}"
 
-    def rows(self) -> list[tuple[str, str]]:
-        """Return names and values of the verdicts and of what the hand feels on the worst plant."""
+    def view(self) -> View:
+        """The verdicts, and what the hand feels on the worst plant."""
         state, worst, wall, units = self.state, self.worst, self.wall, self.state.axis.units
         exact = self.runs[EXACT].verdict
         share, low, high = self.study.stable_share
@@ -111,7 +113,7 @@ class Simulated:
             for name, base in (("apparent_mass", "kg"), ("apparent_damping", "N/(m/s)"))
         )
         among = f" (95 %: {100 * low:.3g} to {100 * high:.3g} %)" if state.plants else ", of the corners"
-        return [
+        rows = [
             ("verdict, exact estimates", exact.replace("_", " ")),
             (f"verdict, worst within ±{state.mismatch_percent:g} %", worst["verdict"].replace("_", " ")),
             ("estimates of the worst", off),
@@ -128,6 +130,7 @@ class Simulated:
                 "stable" if self.wall_poles_stable else "unstable",
             ),
         ]
+        return (Table(("", ""), [(name, bold(value)) for name, value in rows]),)
 
     def figures(self) -> dict[str, Figure]:
         """Return the pictures as matplotlib figures by name."""
@@ -250,8 +253,7 @@ class SimulationView:
             return
         level, text = simulated.verdict()
         self.message.object = judgement(text, level)
-        rows = [(name, bold(value)) for name, value in simulated.rows()]
-        self.table.object = table(("", ""), rows)
+        self.table.object = view.html(simulated.view())
         captions, units = simulated.captions(), simulated.state.axis.units
         for name, figure in simulated.figures().items():
             caption = inline(captions[name])

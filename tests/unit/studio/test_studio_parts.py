@@ -362,9 +362,9 @@ def test_a_simulation_has_traces_the_wall_and_a_verdict(task):
     found = simulate(state(task=task, plants=0), lambda stage, share: stages.append(stage))
     assert found.verdict()[0] == "warning"
     assert "corners and 0 random plants is creeping" in found.verdict()[1]
-    rows = dict(found.rows())
-    assert rows["pushed into a wall of 10 N/mm"].startswith("at rest, at most ")
-    assert rows["poles of the loop at that wall"] == "stable"
+    rows = dict(found.view()[0].rows)
+    assert rows["pushed into a wall of 10 N/mm"].startswith("<b>at rest, at most ")
+    assert rows["poles of the loop at that wall"] == "<b>stable</b>"
     assert found.figures().keys() == found.captions().keys() == {"task", "wall", "plants"}
     assert stages[-1] == "drawing"
 
@@ -383,7 +383,7 @@ def test_effects_act_on_every_simulated_plant():
 def test_a_law_that_diverges_is_shown_as_unstable():
     ripple = {"kind": "position_ripple", "amplitude": 2.0, "period": 0.0025, "phase": 0.5}
     found = simulate(State.of(machine("emps2018").replace(effects=[ripple])).changed(task="pushed", plants=0, mass=2.0))
-    assert dict(found.rows())["verdict, exact estimates"] == "unstable"
+    assert dict(found.view()[0].rows)["verdict, exact estimates"] == "<b>unstable</b>"
     assert found.wall.verdict == "unstable"
     assert found.figures()["task"].axes
 

@@ -5,11 +5,12 @@ import pytest
 from emps_design.progress import no_progress
 from emps_design.simulation.synthetic import synthetic_record
 from emps_design.studio.data_view import identify_work, observe_work
-from emps_design.studio.design_view import laws_table, numbers_table, verdict_message
+from emps_design.studio.design_view import laws_view, numbers_view, verdict_message
 from emps_design.studio.files_view import velocity_design
 from emps_design.studio.motion_view import move
 from emps_design.studio.simulation_view import simulate
 from emps_design.studio.state import State, differences_in_words
+from emps_design.view import html
 from tests.axes import KINDS, machine_of
 from tests.rewriting import rewritten
 
@@ -31,19 +32,18 @@ def test_the_design_tab(axis):
     lighter = axis.replace(name="other", sampling={"period": 5e-4})
     carried = differences_in_words(state.changed(k_e1=2.0 * state.k_e1), State.of(axis).with_axis(lighter))
     assert "k_e1" in carried
-    texts = numbers_table(state, design, design), laws_table(state, design), verdict_message(design), carried
+    texts = html(numbers_view(state, design, design)), html(laws_view(state, design)), verdict_message(design), carried
     assert changed(axis, *texts) == []
 
 
 def test_the_motion_tab(axis):
     found = move(State.of(axis), None, None, no_progress)
-    assert changed(axis, found.verdict()[1], *(cell for row in found.rows() for cell in row)) == []
+    assert changed(axis, found.verdict()[1], str(found)) == []
 
 
 def test_the_simulation_tab(axis):
     found = simulate(State.of(axis).changed(plants=0))
-    rows = [text for row in found.rows() for text in row]
-    assert changed(axis, found.verdict()[1], *rows, *found.captions().values()) == []
+    assert changed(axis, found.verdict()[1], str(found), *found.captions().values()) == []
 
 
 def test_the_data_tab(axis):

@@ -24,10 +24,11 @@ from emps_design.simulation.synthetic import synthetic_record
 from emps_design.studio import files_view
 from emps_design.studio.app import Session
 from emps_design.studio.data_view import NAMED_MODEL, diagnose_work
-from emps_design.studio.design_view import DesignView, laws_table, numbers_table
+from emps_design.studio.design_view import DesignView, laws_view, numbers_view
 from emps_design.studio.motion_view import CompensationView, move
 from emps_design.studio.simulation_view import simulate
 from emps_design.studio.state import State
+from emps_design.view import html
 from tests.unit.unlike_axes import JOINT
 
 CASCADE = {
@@ -121,7 +122,7 @@ def test_an_impedance_law_that_a_coupling_makes_unstable_is_unstable_in_the_desi
     law = impedance_law(FLEXIBLE, now.mass, now.damping, now.filter)
     assert not extended_loop(FLEXIBLE, law).stable
     assert verdict(law, FrictionModel.of(FLEXIBLE), Clock.of(FLEXIBLE)) != "unstable"  # which knows no coupling
-    flexible, rigid = (laws_table(one, files_view.velocity_design(one)) for one in (now, state()))
+    flexible, rigid = (html(laws_view(one, files_view.velocity_design(one))) for one in (now, state()))
     assert flexible.count('<b class="no">unstable</b>') == 2  # exact, and over-estimated
     assert "unstable" not in rigid
 
@@ -179,7 +180,8 @@ def test_a_design_that_follows_less_closely_than_the_controller_in_place_is_no_g
 def test_poles_at_the_wall_say_that_the_effects_of_the_axis_are_not_in_them():
     found = simulate(State.of(FLEXIBLE).changed(plants=0, mismatch_percent=0.0))
     assert found.verdict()[0] == "bad"
-    assert dict(found.rows())["poles of the loop at that wall, without the effects"] == "stable"
+    rows = dict(found.view()[0].rows)
+    assert rows["poles of the loop at that wall, without the effects"] == "<b>stable</b>"
 
 
 def test_what_was_found_for_a_design_is_withdrawn_where_the_next_is_refused(at_once):
@@ -211,10 +213,10 @@ def test_a_turn_to_a_refused_design_reaches_every_tab(at_once):
 
 def test_a_pinned_design_of_another_axis_has_its_name_and_its_unit():
     joint, carriage = (files_view.velocity_design(State.of(axis)) for axis in (JOINT, machine("emps2018")))
-    table = numbers_table(state(), carriage, joint)
+    table = html(numbers_view(state(), carriage, joint))
     assert "<th>pinned, joint</th>" in table
     assert "<code>A/(rad/s)</code>" in table
-    alike = numbers_table(state(), carriage, files_view.velocity_design(state(frequency=60.0)))
+    alike = html(numbers_view(state(), carriage, files_view.velocity_design(state(frequency=60.0))))
     assert "<th>pinned</th>" in alike
     assert "<code>" not in alike
 
