@@ -25,6 +25,7 @@ from emps_design.records import Record
 from emps_design.records.layout import Column, ColumnMap
 from emps_design.tables import (
     BASELINE as BASELINE,
+    FACTORS,
     NO_LIMIT as NO_LIMIT,
     AxisEffect,
     AxisTable,
@@ -260,8 +261,9 @@ class Axis(Viewed, AxisTable):
             if isinstance(value, BaseModel):
                 value = value.model_dump(exclude_none=True)
             elif isinstance(value, dict) and isinstance(data.get(key), dict):
-                limited = value.keys() & LIMIT  # one number under two names
-                value = {**{k: v for k, v in data[key].items() if not (limited and k in LIMIT)}, **value}
+                other = LIMIT if value.keys() & LIMIT else set()  # one number under two names
+                other = {*other, *FACTORS} if "force_gain" in value else other
+                value = {**{k: v for k, v in data[key].items() if k not in other}, **value}
             elif key == "effects":
                 value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
             data[key] = value

@@ -22,6 +22,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
+FACTORS = "current_gain", "reduction", "torque_constant"  # whose product is the force gain
 NO_LIMIT = 1e8  # largest command where the limit is unknown: accepted in every unit
 
 # The numbers of the baseline, :class:`Mechanics`, by the names of identification and diagnosis: an axis file calls the
@@ -164,15 +165,14 @@ class Drive(AxisTable):
 
 def _force_gain_from_data_sheet(table: dict[str, Any]) -> dict[str, Any]:
     """A copy of a drive's table with the force gain from its data sheet, if that is complete and no other is given."""
-    names = ("current_gain", "reduction", "torque_constant")
-    if not any(name in table for name in names):
+    if not any(name in table for name in FACTORS):
         return dict(table)
-    if any(name not in table for name in names):
-        raise ValueError(f"give all of {', '.join(names)}, or force_gain alone")
+    if any(name not in table for name in FACTORS):
+        raise ValueError(f"give all of {', '.join(FACTORS)}, or force_gain alone")
     try:
-        return {"force_gain": math.prod(float(table[name]) for name in names), **table}
+        return {"force_gain": math.prod(float(table[name]) for name in FACTORS), **table}
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{', '.join(names)}: expected three numbers") from error
+        raise ValueError(f"{', '.join(FACTORS)}: expected three numbers") from error
 
 
 class Sampling(AxisTable):

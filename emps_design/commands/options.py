@@ -55,25 +55,6 @@ def estimator_from_text(text: str) -> Any:
         raise InputError(f"found {text!r}, expected a {what} after {kind}:") from error
 
 
-def with_numbers(axis: Axis, **tables: dict[str, Any]) -> Axis:
-    """Return ``axis`` with the numbers of the command line (those not None), checked like those of a file.
-
-    ``force_gain`` replaces the product of current gain, reduction and torque constant.
-
-    >>> from emps_design.machines import machine
-    >>> with_numbers(machine("emps2018"), mechanics={"mass": 90.0, "viscous": None}).mechanics.viscous
-    474.9727
-    """
-    document = axis.to_dict()
-    for name, table in tables.items():
-        replacements = {key: value for key, value in table.items() if value is not None}
-        if "force_gain" in replacements:
-            for key in ("current_gain", "reduction", "torque_constant"):
-                document["drive"].pop(key, None)
-        document[name] = {**document.get(name, {}), **replacements}
-    return Axis.from_dict(document, axis.name)
-
-
 def write_axis(path: Path, axis: Axis) -> str:
     """Write ``axis`` as TOML to ``path``, whole or not at all, and return the path as text."""
     write_text(path, axis.to_toml())
@@ -141,15 +122,18 @@ class VelocityLoopRequest(Request):
     @cached_property
     def machine(self) -> Axis:
         """The axis with the numbers of the request."""
-        tables = {
+        tables: dict[str, dict[str, Any]] = {
             "mechanics": {"mass": self.mass, "viscous": self.viscous},
             "drive": {"force_gain": self.force_gain, "current_time_constant": self.current_time_constant},
             "sampling": {"period": self.period, "computation_delay": self.computation_delay},
             "controller": {"velocity_estimator": self.velocity_estimator},
         }
-        return with_numbers(
-            self.axis, **{name: table | self.more_numbers.get(name, {}) for name, table in tables.items()}
-        )
+        more = self.more_numbers
+        replaced = {
+            name: {key: value for key, value in (table | more.get(name, {})).items() if value is not None}
+            for name, table in tables.items()
+        }
+        return self.axis.replace(**{name: table for name, table in replaced.items() if table})
 
     @property
     def wanted_structure(self) -> Structure:

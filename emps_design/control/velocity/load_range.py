@@ -27,6 +27,7 @@ from emps_design.control.velocity.limits import GAIN_MARGIN, INTEGRAL, retuned_g
 from emps_design.control.velocity.sampled import SampledVelocityLoop, sweep_sampled_margins
 from emps_design.control.velocity.specification import ROOM
 from emps_design.errors import InputError
+from emps_design.tables import FACTORS
 
 COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that splits the mass by a spring
 MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg above the requested phase margin, tried for the load with the largest one
@@ -370,9 +371,7 @@ def with_errors(axis: Axis, shares: Mapping[str, float]) -> Axis:
         table = PARAMETERS[name]
         tables.setdefault(table, {})[name] = getattr(getattr(axis, table), name) * (1.0 + share)
     if "drive" in tables:  # the product of the data sheet no longer holds
-        plain = axis.drive.model_dump(exclude_none=True)
-        for key in ("current_gain", "reduction", "torque_constant"):
-            plain.pop(key, None)
+        plain = {key: value for key, value in axis.drive.model_dump(exclude_none=True).items() if key not in FACTORS}
         drive = type(axis.drive)(**{**plain, **tables.pop("drive")})
         axis = axis.model_copy(update={"drive": drive})
     return axis.model_copy(update={"mechanics": axis.mechanics.model_copy(update=tables.get("mechanics", {}))})
