@@ -7,8 +7,8 @@ A figure is described once, beside what it shows. :func:`draw_on` renders axes w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ PALE_GREY, PALE_BLUE = "#E5E7EB", "#EEF7FD"  # of what stands behind curves
 
 TURN = np.linspace(0.0, 2.0 * np.pi, 300)  # rad, angles of a circle
 SMALL = 8.5  # points, type of a remark
-Values = Sequence[float] | np.ndarray
+Values = Sequence[float] | np.ndarray | float
 Range = tuple[float | None, float | None]
 NOT_GIVEN: Range = (None, None)
 
@@ -42,6 +42,11 @@ class Curve:
     size: float = 5.0
     alpha: float = 1.0
     detail: str = ""
+
+    @property
+    def points(self) -> list[Curve]:
+        """Its points, a curve each."""
+        return [replace(self, x=x, y=y) for x, y in zip(*np.array([self.x, self.y]).tolist(), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -88,15 +93,27 @@ class Level:
     text: str = ""
 
 
-class Remark(NamedTuple):
-    """``text`` at a point of the axes, moved by ``offset`` [points]: to its left where that is negative."""
+@dataclass(frozen=True)
+class Remark:
+    """``text`` beside a point of the axes, ``right`` of it and ``up`` [points]: it ends there if it is to the left."""
 
     x: float
     y: float
     text: str
     color: str = BLACK
-    offset: tuple[float, float] = (0.0, 0.0)
+    right: float = 0.0
+    up: float = 0.0
     size: float = SMALL
+
+    @property
+    def down(self) -> float:
+        """The offset downwards [points]."""
+        return -self.up
+
+    @property
+    def align(self) -> str:
+        """The side of the text at which the point is."""
+        return "right" if self.right < 0.0 else "left"
 
 
 @dataclass(frozen=True)
@@ -195,10 +212,9 @@ def draw_on(axes: Any, drawn: Axes) -> None:
             across = axes.axvline if part.axis == "x" else axes.axhline
             across(part.at, color=part.color, linestyle=part.line, linewidth=part.width)
         else:
-            side = "right" if part.offset[0] < 0.0 else "left"
             axes.annotate(
-                part.text, (part.x, part.y), xytext=part.offset, textcoords="offset points", ha=side, va="center",
-                fontsize=part.size, color=part.color,
+                part.text, (part.x, part.y), xytext=(part.right, part.up), textcoords="offset points", ha=part.align,
+                va="center", fontsize=part.size, color=part.color,
             )  # fmt: skip
     _frame(axes, drawn)
     _name_levels(axes, drawn)

@@ -138,7 +138,7 @@ def bode_axes(loop: BrokenLoop, period: float) -> tuple[Axes, Axes]:
             middle, side = -180.0 + 0.5 * m.phase_margin_deg, 6.0 if curve.label == "sampled" else -6.0
             gains.append(_mark(w, 0.0, color))
             phases += [_bar(w, -180.0, phase, color), _mark(w, phase, color)]
-            phases.append(Remark(w, middle, angle(m.phase_margin_deg), color, (side, 0.0), 9.0))
+            phases.append(Remark(w, middle, angle(m.phase_margin_deg), color, side, size=9.0))
         if m.gain_margin is not None and m.gain_margin_frequency is not None:
             w = m.gain_margin_frequency
             gains.append(_bar(w, -20.0 * np.log10(m.gain_margin), 0.0, color))
@@ -213,7 +213,7 @@ def open_loop_plane(parts: tuple[Curve, ...], real: Range, imaginary: Range, tit
     around = (
         Curve(np.cos(TURN), np.sin(TURN), color=GREY, line="--", width=0.9),
         Curve([-1.0], [0.0], color=BLACK, line="", mark="P", size=9.0),
-        Remark(-1.0, 0.0, "−1", BLACK, (-6.0, 10.0), 10.0),
+        Remark(-1.0, 0.0, "−1", BLACK, -6.0, 10.0, 10.0),
     )
     return _plane((*parts, *around), real, imaginary, title, legend=legend)
 
@@ -244,7 +244,7 @@ def s_plane(poles: np.ndarray, title: str) -> Axes:
     for z in (0.3, 0.5, 0.7, 0.9):
         x, y = -z * reach, np.sqrt(1.0 - z * z) * reach
         parts.append(Curve([x, 0.0, x], [y, 0.0, -y], color="#D1D5DB", width=0.8))
-        parts.append(Remark(x, y, f"z = {z:g}", GREY, (-1.0, 4.0), 7.5))
+        parts.append(Remark(x, y, f"z = {z:g}", GREY, -1.0, 4.0, 7.5))
     parts.append(Curve(poles.real, poles.imag, color=BLUE, line="", mark="x", size=9.0))
     return _plane(tuple(parts), (-1.15 * reach, 0.35 * reach), (-1.1 * reach, 1.1 * reach), title, " [rad/s]")
 

@@ -36,6 +36,7 @@ thead th { color: #4b5563; font-size: 11px; line-height: 1.15; }
 table.about { font-size: 13px; max-width: 900px; }
 table.about th { white-space: nowrap; vertical-align: top; padding-right: 18px; }
 p { font-size: 13px; max-width: 900px; }
+table + p { margin: 4px 4px 0; font-size: 12.5px; }
 p.caption { color: #374151; margin: 2px 4px 10px; font-size: 12.5px; }
 b.yes { color: #00664b; }
 b.no { color: #b3261e; }

@@ -21,7 +21,7 @@ from bokeh.models.glyphs import HSpan, HStrip, MultiLine, Patches, Rect, Scatter
 from bokeh.models.renderers import GlyphRenderer
 from bokeh.plotting import figure
 
-from emps_design.figures import BLACK, GREY, RED, TURN, Area, Axes, Band, Curve, Level
+from emps_design.figures import BLACK, GREY, RED, TURN, Area, Axes, Band, Curve, Level, Remark
 from emps_design.report.loop_figures import FREQUENCY, bode_axes, broken_loops, nyquist_axes, step_axes, z_plane
 from emps_design.stretches import stretches
 from emps_design.studio.ranges import CHOICES, choices_of
@@ -40,7 +40,6 @@ KINDS = ("no positive gains", "sampled loop unstable", "below the required margi
 TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 ASPECT = 1.28  # width over height: two rows fit both screens
 DASHES = {"-": "solid", "--": "dashed", ":": "dotted"}
-CROSSES = ("x", "X", "P")
 CORNERS = {"lower right": "bottom_right", "lower left": "bottom_left"}  # of a legend
 MARKS = {"o": "circle", "s": "square", "x": "x", "X": "x", "P": "cross", "^": "triangle", "D": "diamond"}
 
@@ -256,17 +255,17 @@ class LivePlot:
             plot.yaxis.ticker = FixedTicker(ticks=list(ticks))
         line: dict[str, Any] = {"line_color": "color", "line_width": "width"}
         fill: dict[str, Any] = {"fill_color": "color", "fill_alpha": "alpha", "line_color": None}
-        dashed: dict[str, Any] = {**line, "line_dash": "dash"}
-        mark: dict[str, Any] = {"marker": "mark", "size": "size", "fill_color": "color", **line}
+        dashed: dict[str, Any] = {**line, "line_dash": "line"}
+        mark: dict[str, Any] = {"marker": "mark", "size": "size", "fill_color": "color", "line_color": "color"}
         text: dict[str, Any] = {"x_offset": "right", "y_offset": "down", "text_align": "align", "text_color": "color"}
-        glyphs = {
-            "areas": Patches(xs="xs", ys="ys", **fill),
+        glyphs = {  # the columns that they read are the fields of the parts
+            "areas": Patches(xs="x", ys="y", **fill),
             "bands x": VStrip(x0="low", x1="high", **fill),
             "bands y": HStrip(y0="low", y1="high", **fill),
             "levels x": VSpan(x="at", **dashed),
             "levels y": HSpan(y="at", **dashed),
-            "lines": MultiLine(xs="xs", ys="ys", line_alpha="alpha", **dashed),
-            "marks": Scatter(x="x", y="y", **mark),
+            "lines": MultiLine(xs="x", ys="y", line_alpha="alpha", **dashed),
+            "marks": Scatter(x="x", y="y", line_width=2, **mark),
             "remarks": Text(x="x", y="y", text="text", text_font_size="11px", text_baseline="middle", **text),
         }
         self.sources = {name: _source(*_columns(glyph)) for name, glyph in glyphs.items()}
@@ -280,32 +279,21 @@ class LivePlot:
 
     def show(self, axes: Axes) -> None:
         """Show ``axes``."""
-        rows: dict[str, list[dict[str, Any]]] = {name: [] for name in self.sources}
+        parts: dict[str, list[Any]] = {name: [] for name in self.sources}
         named = []
         for part in axes.parts:
             if isinstance(part, Curve):
                 kind = "lines" if part.line else "marks"
                 if part.label:
-                    named.append((part.label, kind, len(rows[kind])))
-                if part.line:
-                    rows["lines"].append(_styled(part, xs=part.x, ys=part.y, alpha=part.alpha))
-                rows["marks"] += _marks_of(part) if part.mark else []
-            elif isinstance(part, Area):
-                rows["areas"].append({"xs": part.x, "ys": part.y, "color": part.color, "alpha": part.alpha})
-            elif isinstance(part, Band):
-                look = {"color": part.color, "alpha": part.alpha}
-                rows[f"bands {part.axis}"].append({"low": part.low, "high": part.high, **look})
-            elif isinstance(part, Level):
-                rows[f"levels {part.axis}"].append(_styled(part, at=part.at))
+                    named.append((part.label, kind, len(parts[kind])))
+                parts["lines"] += [part] if part.line else []
+                parts["marks"] += part.points if part.mark else []
             else:
-                right, up = part.offset
-                align = "right" if right < 0.0 else "left"
-                place = {"x": part.x, "y": part.y, "right": right, "down": -up, "align": align}
-                rows["remarks"].append({**place, "text": part.text, "color": part.color})
+                kind = {Area: "areas", Band: "bands", Level: "levels", Remark: "remarks"}[type(part)]
+                parts[f"{kind} {part.axis}" if isinstance(part, Band | Level) else kind].append(part)
         for name, source in self.sources.items():
-            shown = rows[name]
-            if shown or len(next(iter(source.data.values()))):
-                source.data = {column: [row[column] for row in shown] for column in source.data}
+            if parts[name] or len(next(iter(source.data.values()))):
+                source.data = {column: [_value(part, column) for part in parts[name]] for column in source.data}
         self._name(named if axes.legend else [], axes.legend)
         self.plot.xaxis.axis_label, self.plot.yaxis.axis_label = axes.x, axes.y
         self.remark.text = axes.remark
@@ -331,19 +319,11 @@ def _columns(glyph: Any) -> set[str]:
     return {read.field for read in values if isinstance(read, Field)}
 
 
-def _styled(part: Curve | Level, **columns: Any) -> dict[str, Any]:
-    return {**columns, "color": part.color, "width": 1.25 * part.width, "dash": DASHES[part.line]}
-
-
-def _marks_of(curve: Curve) -> list[dict[str, Any]]:
-    """A row for each point of ``curve``; a cross has lines as thick as it needs."""
-    look = {
-        "mark": MARKS[curve.mark],
-        "size": 1.4 * curve.size,
-        "color": curve.color,
-        "width": 3 if curve.mark in "xXP" else 1,
-    }
-    return [{"x": x, "y": y, **look} for x, y in zip(curve.x, curve.y, strict=True)]
+def _value(part: Any, column: str) -> Any:
+    """The field ``column`` of a part as Bokeh calls it."""
+    names: dict[str, dict[str, str]] = {"line": DASHES, "mark": MARKS}
+    own = getattr(part, column)
+    return names[column][own] if column in names else own
 
 
 class LoopPlots:

@@ -323,11 +323,11 @@ def test_pinning_keeps_the_design_beside_the_new_one():
     view = DesignView(state(), {name: machine(name) for name in machine_names()}, lambda state: None)
     view.pin.value = True
     lines = view.plots.nyquist.sources["lines"]
-    kept = list(lines.data["xs"][-1])
+    kept = list(lines.data["x"][-1])
     assert lines.data["color"].count(GREY) == 2  # the unit circle, and the pinned design
     view.knobs["frequency"].field.value = "150"
     assert "pinned" in view.numbers.object
-    assert list(lines.data["xs"][-1]) == kept
+    assert list(lines.data["x"][-1]) == kept
     view.pin.value = False
     assert lines.data["color"].count(GREY) == 1
 
@@ -826,7 +826,7 @@ def test_the_studio_draws_what_the_page_draws():
     for live, axes in zip((plots.magnitude, plots.phase), figure.axes, strict=False):
         drawn = [(line.get_color(), line.get_ydata()[0]) for line in axes.get_lines() if len(line.get_xdata()) > 100]
         shown = live.sources["lines"].data
-        assert [(c, y[0]) for c, y in zip(shown["color"], shown["ys"], strict=True) if len(y) > 100] == drawn
+        assert [(c, y[0]) for c, y in zip(shown["color"], shown["y"], strict=True) if len(y) > 100] == drawn
         assert live.plot.yaxis.axis_label == axes.get_ylabel()
 
 
