@@ -23,7 +23,13 @@ from emps_design.units import LINEAR, Units
 from emps_design.view import BLOCKS, Line, View, show
 
 # Arguments of the library whose flag is not their name; a report identifies as well, without those options.
-FLAGS = {"cutoff_hz": "--cutoff", "identify": "--estimator ls", "target": "--to", "overwrite": "--force"}
+FLAGS = {
+    "cutoff_hz": "--cutoff",
+    "identify": "--estimator ls",
+    "overwrite": "--force",
+    "target": "--to",
+    "window": "--time A:B",
+}
 FLAGS_OF = {
     "report": {
         "cutoff": "--cutoff of 'identify'",

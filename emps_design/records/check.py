@@ -363,10 +363,12 @@ def _vector(values: Any, assignment: Assignment, n: int, source: str) -> np.ndar
 def _finite(values: np.ndarray, column: str, unit: str, source: str, first_row: int) -> None:
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
+        advice = "cut the gap out with import and its `window`, or record again"
+        if bad[0] == values.size - 1:
+            advice = "it is the last row: delete it if the file was cut off there"
         raise RecordError(
             f"{source}: column {column}, row {first_row + bad[0]}: found {values[bad[0]]}, expected a finite number"
-            f"{f' ({bad.size} such samples)' if bad.size > 1 else ''}; cut the gap out with import and its `window`, "
-            "or record again"
+            f"{f' ({bad.size} such samples)' if bad.size > 1 else ''}; {advice}"
         )
     for row in (int(np.argmax(values)), int(np.argmin(values))):
         if abs(values[row]) > LARGEST:
@@ -401,6 +403,8 @@ def _plausible(
             excess = f"a stroke of {stroke:.4g} {unit}" if stroke > longest else f"a speed of {speed:.4g} {unit}/s"
             most = f"{longest:g} {unit}" if stroke > longest else f"{fastest:g} {unit}/s"
             why = f"it is probably {hint[usual].format(column)}"
+            if np.array_equal(named[column], np.rint(named[column])):
+                why = "it is probably in counts: map it in [record], with unit 'counts' and the scale of a count"
             if column in mapped:
                 what = KEYS[column] if stroke > longest else f"{KEYS[column]}, or of time,"
                 why = f"correct unit or scale of {what} in [record]"

@@ -80,7 +80,8 @@ def on_one_clock(
     if wanted is None:
         raise RecordError(
             f"{source}: column t, row {first_row + i + 1}: found a step of {t[i + 1] - t[i]:.6g} s, expected "
-            f"{typical:.6g} s as elsewhere; sampling must be uniform: resample, or cut the record there"
+            f"{typical:.6g} s as elsewhere; sampling must be uniform: import puts it on one clock, "
+            "and with `window` takes a part"
         )
     del away
     bridges = _bridges(t, typical, source, first_row)

@@ -1,7 +1,10 @@
 """Exit statuses, one line an error, one JSON document, files whole or absent."""
 
+import ast
+import importlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,8 +19,45 @@ from emps_design.cli import app
 from emps_design.cli.output import Terminal
 from emps_design.errors import InputError, SpecificationError, UnstableError
 from emps_design.files import write_aside, write_text
+from emps_design.request import Request, flags_of, options_of
 
 REPOSITORY = Path(__file__).resolve().parents[3]
+PACKAGE = REPOSITORY / "emps_design"
+
+
+def texts_that_name_arguments():
+    """Every text of the package, but docstrings, that names an identifier between backquotes: file and argument."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in alone:
+                for argument in re.findall(r"`(\w+)(?:=[^`]*)?`", node.value):
+                    yield path, argument
+
+
+def requests(kind=Request):
+    """Every kind of request, and so every option of the program."""
+    for own in kind.__subclasses__():
+        yield own
+        yield from requests(own)
+
+
+def test_every_argument_that_a_message_names_becomes_a_flag_that_there_is():
+    """A message of the library may be shown by any command, also by one without that option."""
+    for path in (PACKAGE / "commands").glob("[a-z]*.py"):
+        importlib.import_module(f"emps_design.commands.{path.stem}")
+    options = [entry for kind in requests() for entry in options_of(kind)]
+    flags = {flag for entry in options for flag in flags_of(entry)} | {"--force"}
+    named = [
+        (path, argument)
+        for path, argument in texts_that_name_arguments()
+        if path.parent.name not in ("commands", "studio")
+    ]
+    assert {"window", "external_force", "cutoff"} <= {argument for _, argument in named}
+    for path, argument in named:
+        flag = Terminal(("identify",)).named(f"`{argument}`").split()[0]
+        assert flag in flags, f"{path}: {argument}"
 
 
 def run_raising(monkeypatch, error, *arguments):

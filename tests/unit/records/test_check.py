@@ -50,10 +50,15 @@ def test_quantised_time_gives_the_nominal_period():
     [
         ({"t": T[:3], "q_ref": Q[:3], "q": Q[:3], "u": U[:3]}, "found 3 samples, expected at least 50"),
         ({"q": changed(Q, 7, np.nan)}, "column q, row 7: found nan, expected a finite number; cut"),
+        ({"q": changed(Q, N - 1, np.nan)}, "row 399: found nan, .*; it is the last row: delete it if the file was cut"),
+        ({"q": np.rint(1e6 * Q)}, "a stroke of 1e.05 m, .*; it is probably in counts: map it in .record., with unit"),
         ({"u": changed(U, slice(7, 9), np.inf)}, r"column u, row 7: found inf, .*\(2 such samples\)"),
         ({"t": changed(T, 9, 0.0)}, r"row 9: found time going backwards \(0.008 s, then 0 s\)"),
         ({"t": changed(T, 9, T[8])}, "row 9: found the same time twice"),
-        ({"t": np.concatenate([T[:200], 0.2 + 2 * T[:200]])}, "row 201: found a step of 0.002 s, expected 0.001 s"),
+        (
+            {"t": np.concatenate([T[:200], 0.2 + 2 * T[:200]])},
+            "row 201: found a step of 0.002 s, expected 0.001 s .*: import puts it on one clock",
+        ),
         ({"t": np.delete(np.arange(N + 1) * 1e-3, 50)}, "row 50: found a step of 0.002 s"),
         ({"t": T * 1000}, "sampling period of 1 s, expected 1e-06 to 0.1 s; if time is in ms"),
         ({"q": np.full(N, 0.1)}, "column q: found 0.1 m in every row; the axis must move"),
