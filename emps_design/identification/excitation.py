@@ -13,8 +13,8 @@ from emps_design.messages import warning
 from emps_design.records import Record
 
 REFUSE, KNOWN = "refuse", "known"  # treatment of a record with a measured external force
-SMALLEST_STROKE = 1e-5  # m, and at least this many encoder steps:
-SMALLEST_STEPS = 200
+SMALLEST_STEPS = 200  # of the encoder, in a stroke
+SMALLEST_STROKE = 1e-5  # m or rad, where the encoder is not known
 LARGEST_SATURATED_SHARE = 0.2
 REVERSAL = 0.02  # of the stroke: least motion against the other direction, and of a piece that counts
 SENSOR_NOISE = 0.01  # of the motor force: a smaller measured force may be sensor noise
@@ -31,10 +31,14 @@ def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_w
     """
     stroke = float(np.ptp(record.q))
     step, units = axis.sampling.encoder_resolution, axis.units
-    if stroke < max(SMALLEST_STROKE, SMALLEST_STEPS * step):
+    least = SMALLEST_STEPS * step or SMALLEST_STROKE
+    if stroke < least:
+        size = units.quantity(stroke, "m", ".3g")
+        steps = f", {stroke / step:.3g} steps of the encoder, expected at least {SMALLEST_STEPS}" if step else ""
+        found = f"found a stroke of {size}{steps}" if stroke else f"no motion, the stroke is {size}"
         raise RecordError(
-            f"{record.name}: no motion, the stroke is {units.quantity(stroke, 'm', '.3g')}; record a trajectory that "
-            "accelerates, runs at several constant speeds and reverses"
+            f"{record.name}: {found}; record a trajectory that accelerates, runs at several constant speeds and "
+            "reverses"
         )
     saturated = float(np.mean(np.abs(record.u) >= 0.999 * axis.drive.command_limit))
     if saturated > LARGEST_SATURATED_SHARE:

@@ -108,12 +108,26 @@ def test_bootstrap_agrees_with_the_long_run(record):
     ("change", "message"),
     [
         (lambda r: replace(r, q=np.zeros_like(r.q)), r"no motion, the stroke is 0 m; record a trajectory"),
+        (
+            lambda r: replace(r, q=3e-5 * r.q),
+            r"found a stroke of .* m, \d+ steps of the encoder, expected at least 200;",
+        ),
         (lambda r: replace(r, u=10.0 * np.sign(r.u)), r"at the limit of 10 V for \d+ % of the time.*slower motion"),
     ],
 )
 def test_records_that_cannot_identify(record, change, message):
     with pytest.raises(RecordError, match=message):
         identify(change(record), AXIS)
+
+
+def test_a_stage_that_moves_by_micrometres_is_identified(record):
+    """What matters is the number of encoder steps in the stroke."""
+    small = replace(record, q=1e-6 * record.q, q_ref=1e-6 * record.q_ref)
+    fine = AXIS.replace(sampling={"encoder_resolution": 1e-6 * AXIS.sampling.encoder_resolution})
+    found, large = (identify(r, axis, filter="hold", cutoff=30.0) for r, axis in ((small, fine), (record, AXIS)))
+    assert np.ptp(small.q) < 1e-6
+    for name, size in (("mass", 1e6), ("viscous", 1e6), ("coulomb", 1.0)):
+        assert found.parameters[name].value == pytest.approx(size * large.parameters[name].value, rel=1e-6)
 
 
 def test_one_speed_one_way_tells_nothing_and_says_what_to_record(record):
