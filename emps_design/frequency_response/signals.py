@@ -279,7 +279,8 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
     if np.ptp(r) == 0.0:
         raise RecordError(
             f"{record.name}: found a reference that stands still or runs evenly and no excitation, expected one of "
-            "them to move the loop: without it noise and feedback cannot be told from the plant"
+            "them to move the loop: without it noise and feedback cannot be told from the plant; of a record made in "
+            "open loop the command is the excitation, `instrument='command'`"
         )
     dq = np.diff(record.q, prepend=record.q[:1])
     steps = steps_of(r) if instrument != COMMAND else ()

@@ -109,6 +109,14 @@ def test_the_command_is_the_excitation_in_open_loop_alone():
             estimate_response(one, closed, instrument=instrument)
 
 
+def test_a_record_without_a_reference_is_told_what_excites_it():
+    axis = rigid(5.0, 1.0, 1e-3)
+    record = replace(driven(axis, np.random.default_rng(4).standard_normal(4000)), excitation=None)
+    with pytest.raises(RecordError, match=r"of a record made in open loop .*, `instrument='command'`"):
+        estimate_response(record, axis)
+    assert len(estimate_response(record, axis, instrument="command").response) > 50
+
+
 def test_dry_friction_of_a_rigid_axis_makes_no_resonance():
     """Its answer differs from line to line, which was named 1.65, 1.92 and 2.71 Hz, each known to 0.01 Hz."""
     axis = machine("emps2019")
