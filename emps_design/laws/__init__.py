@@ -84,6 +84,10 @@ class ControlledAxis(PlantTables, Protocol):
     """The tables of the plant, and the controller that closes the loop around it."""
 
     @property
+    def name(self) -> str:
+        """The name of the axis."""
+
+    @property
     def controller(self) -> Controller:
         """The law and its parameters."""
 
@@ -102,7 +106,10 @@ def law_of(axis: ControlledAxis, period: float, columns: Mapping[str, Any] | Non
     kind = axis.controller.kind
     if kind == NONE:
         *most, last = known_laws()
-        raise AxisError(f"controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop")
+        raise AxisError(
+            f"{axis.name}: controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop; "
+            "law finds the one that made a record"
+        )
     law, own, recorded = get_law(kind), _own_parameters(axis), recorded_gains(axis)
     if not recorded:
         return law.law(law.table(**own), axis, period)
