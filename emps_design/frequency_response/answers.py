@@ -303,7 +303,11 @@ def stepped_answer(signals: list[Signals], highest: float, report_progress: Prog
             if frequency <= highest:
                 lines.setdefault(round(frequency, 9), []).append(step_spectra(record, step))
     if len(lines) < 4:
-        raise RecordError(f"{signals[0].name}: found {len(lines)} steps at different lines, expected at least 4")
+        found = "1 step" if len(lines) == 1 else f"{len(lines)} steps"
+        raise RecordError(
+            f"{signals[0].name}: found {found} at different lines, expected at least 4; give the records of the other "
+            "lines with it"
+        )
     means = [_mean(lines[f], np.array([f])) for f in sorted(lines)]
     repeated = _steps([stretch for f in lines for stretch in lines[f]], np.array([True]))
     answers = [answer for answer, _, _ in means]

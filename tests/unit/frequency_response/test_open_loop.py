@@ -95,6 +95,10 @@ def test_one_sine_per_record(step):
     assert found.response.frequency == pytest.approx([1.0, 3.0, 5.0, 8.0, 16.0, 20.0])
     assert np.all(found.response.coherence > 0.9)
     assert np.all(errors(found, axis) < 3.0)
+    with pytest.raises(
+        RecordError, match=r"found 1 step at .* at least 4; give the records of the other lines with it"
+    ):
+        estimate_response(records[0], axis)
 
 
 def test_the_command_is_the_excitation_in_open_loop_alone():
