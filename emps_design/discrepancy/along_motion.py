@@ -26,6 +26,7 @@ from emps_design.discrepancy.experiment import NextExperiment, varies
 from emps_design.discrepancy.explanation import with_marks
 from emps_design.discrepancy.gap import Gap, Prediction
 from emps_design.discrepancy.noise_floor import Floor, Whitening, rms_interval
+from emps_design.discrepancy.placement import extent, where_document
 from emps_design.discrepancy.preparation import (
     Confirming,
     Interval,
@@ -36,16 +37,9 @@ from emps_design.discrepancy.preparation import (
     user_choice,
 )
 from emps_design.discrepancy.request import DiagnosisRequest
-from emps_design.discrepancy.residual_views import (
-    EVERYWHERE,
-    extent,
-    force_map,
-    spectrum_over_time,
-    views,
-    where_document,
-)
+from emps_design.discrepancy.residual_views import force_map, spectrum_over_time, views
 from emps_design.discrepancy.result import Diagnosis, Finding
-from emps_design.discrepancy.unexplained import GAIN_KNOWN, ONE_FORCE, SAID, depends_on
+from emps_design.discrepancy.unexplained import GAIN_KNOWN, ONE_FORCE, depends_on, follows, most_of_it
 from emps_design.discrepancy.words import changed, filled, worded
 from emps_design.effects.effect import COULOMB, OFFSET
 from emps_design.effects.sizes import sized, sizes
@@ -103,7 +97,7 @@ class BalanceResult:
             if quantity.name in self.extended.determined:
                 value, std = self.extended.parameters[quantity.name], self.extended.deviation(quantity.name)
                 apart = abs(value - axis_numbers[place])
-                if apart > rules.OFF_SURELY * std and apart > rules.OFF * max(abs(value), abs(axis_numbers[place])):
+                if apart > rules.SURE * std and apart > rules.OFF * max(abs(value), abs(axis_numbers[place])):
                     places.append(place)
         return places
 
@@ -293,17 +287,12 @@ def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, An
     share = min(1.0, rms**2 / max(gap.baseline**2 - (noise**2 if again else 0.0), rms**2, 1e-300))
     fold = np.arange(len(balance.record)) * 10 // len(balance.record) % 2  # every second tenth of the record
     shares = depends_on((missing,), (used & (fold == 0),), (missing,), (used & (fold == 1),))
-    over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
+    over, depends = follows(shares)
     units = balance.axis.units
     where = where_document(extent(balance.record, missing.force, used, noise if again else 0.0), units)
-    place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
-    depends = "it depends on none of position, velocity, time and load alone"
-    if over:
-        parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
-        depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
     size = f"{units.quantity(rms, 'N', rounded)} rms{' over the noise' if again else ''}"
     of = f"{100 * outcome.unexplained.share:.2g} % of the {units.word('force')}"
-    text = f"{size}{place}, where the model leaves {of}; {depends}"
+    text = f"{size}{most_of_it(where)}, where the model leaves {of}; {depends}"
     return {
         "rms": rms,
         "share": share,

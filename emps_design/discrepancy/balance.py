@@ -375,7 +375,7 @@ def refuted(wanted: Shares) -> tuple[str, ...]:
     """The terms whose share is significantly different from 1."""
 
     def apart(share: Mapping[str, float]) -> bool:
-        return abs(share["share"] - 1.0) > max(rules.ASKED_APART, rules.SURE * share["std"])
+        return abs(share["share"] - 1.0) > max(rules.SOME, rules.SURE * share["std"])
 
     return tuple(term for term, share in wanted.items() if share is not None and apart(share))
 

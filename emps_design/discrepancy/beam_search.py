@@ -472,7 +472,7 @@ def acting(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
 
 def next_to_nothing(before: Hypothesis, after: Hypothesis) -> bool:
     """Whether ``after`` leaves only noise, or a negligible part of the excess of ``before``."""
-    return only_noise(after, rules.STRUCTURED) or after.excess() <= (1.0 - rules.COMPLETE) * before.excess()
+    return only_noise(after, rules.STRUCTURED) or after.excess() <= rules.EQUIVALENT * before.excess()
 
 
 def only_noise(hypothesis: Hypothesis, most: float) -> bool:
@@ -490,9 +490,7 @@ def _kinds_beside(starts: Sequence[Fit]) -> list[tuple[Kind, Fit, Fit]]:
     for place, start in enumerate(starts):
         for related in KINDS:
             fits = [(kind, start, fitted) for degrees in related for kind, fitted in _of_few_columns(start, degrees)]
-            good = [
-                candidate for candidate in fits if candidate[-1].excess() <= (1.0 - rules.OF_A_KIND) * start.excess()
-            ]
+            good = [candidate for candidate in fits if candidate[-1].excess() <= (1.0 - rules.HALF) * start.excess()]
             if good:
                 by_cost.append((min(fitted.cost for *_, fitted in good) / rules.CLEARLY_LESS**place, good))
     return [candidate for _, good in sorted(by_cost, key=lambda ranked: ranked[0]) for candidate in good]

@@ -32,16 +32,6 @@ from emps_design.errors import SimulationError
 
 Forces = tuple[np.ndarray, ...]  # one array (n,) [N] per record
 
-HUBER = 1.345  # standard deviations beyond which the influence is constant: 95 % efficient for Gaussian noise
-REWEIGHTED = 3  # times the noise is estimated again from the residual of the fit
-STEPS = 20
-
-RIVAL_STEPS = 8
-
-RISE = 4.0  # of the whitened cost, 1 a sample for noise: two deviations of a parameter with quadratic cost
-FIRST = 2.0  # samples, the first step to both sides
-HALVINGS = 7  # by which the end of a range is found within the last step
-
 
 @dataclass(frozen=True)
 class Share:
@@ -64,7 +54,7 @@ class Share:
     @property
     def refuted(self) -> bool:
         """Whether the share is significantly outside ``repeats`` to 1."""
-        return self.exercised and self._apart(self.share) - rules.SURE * self.std > rules.ASKED_APART
+        return self.exercised and self._apart(self.share) - rules.SURE * self.std > rules.SOME
 
     @property
     def hardly_wanted(self) -> bool:
@@ -75,7 +65,7 @@ class Share:
     @property
     def wanted(self) -> bool:
         """Whether the share is about 1 in every weighting of the residual."""
-        return self.exercised and self.astray <= rules.ASKED_APART
+        return self.exercised and self.astray <= rules.SOME
 
     @property
     def stands(self) -> bool:
@@ -84,9 +74,9 @@ class Share:
         An effect that imitates something unknown has another share once the unknown may be a function of the state. A
         share that bouncing play changes by chance is no evidence.
         """
-        if self.repeats < rules.ASKED_APART:  # play that hardly ever bounces alike cannot repeat better
+        if self.repeats < rules.SOME:  # play that hardly ever bounces alike cannot repeat better
             return self.wanted and self.bounces
-        return self.wanted and max(std for _, std in self._all()) <= rules.SHARE_KNOWN * self.repeats
+        return self.wanted and max(std for _, std in self._all()) <= rules.MINOR * self.repeats
 
     @property
     def astray(self) -> float:
@@ -96,7 +86,7 @@ class Share:
     @property
     def confirmed(self) -> dict[str, float] | None:
         """The contract's share, relative to ``repeats``, and its deviation; None where the record does not tell it."""
-        if not self.exercised or self.repeats < rules.ASKED_APART:
+        if not self.exercised or self.repeats < rules.SOME:
             return None
         shares = np.array(self._all()) / self.repeats
         return {"share": float(shares[:, 0].mean()), "std": float(max(shares[:, 1].max(), np.ptp(shares[:, 0]) / 2))}
@@ -108,18 +98,19 @@ class Share:
         return max(self.repeats - share, share - 1.0)
 
 
-def effect_shares(hypothesis: Hypothesis) -> tuple[Share, ...]:
-    """Share of each effect of a model that its records want, by one regression.
+def effect_shares(hypothesis: Hypothesis) -> list[Share]:
+    """Share of each effect of the plant in a model that its records want, by one regression.
 
     The changes that every effect and the four baseline numbers make in the whitened residual are regressed onto that
     residual. An effect that imitates unknown physics fits one motion; on another motion its share differs. The
     regression is repeated with the residual of the model as noise: whitened by its own spectrum, and as a sum of smooth
     functions of the simulated state with random coefficients of estimated variance (empirical Bayes); beside an unknown
-    force by its spectrum only.
+    force by its spectrum only. Effects of the controller are part of it, but known from the law.
     """
     problem, model = hypothesis.problem, hypothesis.model
-    if not model.effects:
-        return ()
+    plant = [index for index, effect in enumerate(model.effects) if effect.channel != "controller"]
+    if not plant:
+        return []
     noise = problem.noise(0)
     rests = [hypothesis.with_model(model.without(index)) for index in range(len(model.effects))]
     models = [hypothesis, *rests]
@@ -130,7 +121,7 @@ def effect_shares(hypothesis: Hypothesis) -> tuple[Share, ...]:
     residuals = side_by_side(_residuals, runs)
     (whole, *changed), (disturbed, *changed_disturbed) = residuals[: -len(models)], residuals[-len(models) :]
     if whole is None:  # a model that cannot be simulated tells nothing
-        return tuple(Share(name, 0.0, 0.0, 1.0, exercised=False) for name in model.names)
+        return [Share(model.names[i], 0.0, 0.0, 1.0, exercised=False) for i in plant]
     columns = [_change(residual, whole) for residual in changed]  # of the effects, then of the baseline's numbers
     again = [_change(residual, disturbed) for residual in changed_disturbed]
     spectrum = floor_of_residual(problem.pick(problem.without_states(whole), "used"), problem.period, LEFT).whitening
@@ -141,15 +132,15 @@ def effect_shares(hypothesis: Hypothesis) -> tuple[Share, ...]:
         _shares_of, [(weighting, whole, columns, other) for weighting in noises for other in unknown]
     )
     by_effect = []
-    for i, (change, other) in enumerate(zip(columns[: len(again)], again, strict=True)):
-        here, there = _gathered(problem, change), _gathered(problem, other)
+    for i in plant:
+        here, there = _gathered(problem, columns[i]), _gathered(problem, again[i])
         repeats = min(1.0, float(here @ there) / max(float(there @ there), 1e-30))
         exercised = float(np.linalg.norm(here)) > rules.SLIGHT * np.sqrt(here.size)
         weighed = tuple(rows[i] for rows in shares[1:])
         by_effect.append(
             Share(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=bool(model.effects[i].play))
         )
-    return tuple(by_effect)
+    return by_effect
 
 
 def _shares_of(weighed: Problem, whole: Forces, columns: list[Forces], states: Forces) -> list[tuple[float, float]]:
@@ -223,10 +214,10 @@ def robust(fitted: Fit) -> Fit:
     """
     model, covariance, slots = fitted.model, fitted.covariance, fitted.model.slots()
     numbers = []
-    for _ in range(REWEIGHTED):
+    for _ in range(rules.IN_TURN):
         noise = floor_of_residual(fitted.with_model(model).remaining_force(), fitted.problem.period, LEFT)
         weighed = fitted.problem.with_whitening(noise.whitening)
-        descent = descend(model, slots, partial(_loss, weighed), STEPS)
+        descent = descend(model, slots, partial(_loss, weighed), rules.ROBUST_STEPS)
         model, covariance = descent.model, descent.covariance
         numbers.append(model.vector(slots))
     return evaluate(fitted.with_model(model), slots, widened(covariance, numbers))
@@ -245,8 +236,8 @@ def _loss(problem: Problem, model: Candidate) -> np.ndarray:
     """Residuals (n,) whose sum of squares is Huber's loss of the innovations (n,) of ``model``."""
     innovations = Hypothesis(problem, model).residual("used")
     size = np.abs(innovations)
-    far = np.sqrt(np.maximum(2 * HUBER * size - HUBER**2, 0.0))
-    return np.where(size <= HUBER, innovations, np.sign(innovations) * far)
+    far = np.sqrt(np.maximum(2 * rules.HUBER * size - rules.HUBER**2, 0.0))
+    return np.where(size <= rules.HUBER, innovations, np.sign(innovations) * far)
 
 
 def equivalents(outcome: Outcome) -> dict[str, list[str]]:
@@ -288,7 +279,7 @@ def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
         ]
         begins = [rest, *(rest.with_effect(other, values) for other, values in others)]
         without, *rivals = side_by_side(
-            fit, [(Hypothesis(weighed, model), "used", None, RIVAL_STEPS) for model in begins]
+            fit, [(Hypothesis(weighed, model), "used", None, rules.RIVAL_STEPS) for model in begins]
         )
         margin = max(outcome.healthy.threshold, rules.EQUIVALENT * (without.cost - own.cost))
         alike = [rival for rival in rivals if admissible(rival) and rival.cost <= own.cost + margin]
@@ -346,7 +337,7 @@ def standing(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tuple[Share,
 
 
 def _size_known(fitted: Fit, name: str) -> bool:
-    """Whether one linear parameter of the effect ``name`` is known to ``rules.SHARE_KNOWN``, or it has none."""
+    """Whether one linear parameter of the effect ``name`` is known to ``rules.MINOR``, or it has none."""
     index = fitted.model.names.index(name)
     effect, values = fitted.model.effects[index], fitted.model.values[index]
     known = [
@@ -354,7 +345,7 @@ def _size_known(fitted: Fit, name: str) -> bool:
         for place, parameter in enumerate(effect.parameters)
         if parameter.linear and parameter.unit != "rad"
     ]
-    return not known or min(known) <= rules.SHARE_KNOWN
+    return not known or min(known) <= rules.MINOR
 
 
 def _judged(held_out: HeldOut | None, extended: Fit) -> list[Share]:
@@ -362,19 +353,14 @@ def _judged(held_out: HeldOut | None, extended: Fit) -> list[Share]:
     shares = [] if held_out is None else claims_on(held_out, extended)
     if shares and all(share.exercised for share in shares):
         return shares
-    trained = {share.name: share for share in _claims(effect_shares(extended), extended)}
+    trained = {share.name: share for share in effect_shares(extended)}
     return [share if share.exercised else trained[share.name] for share in shares or trained.values()]
 
 
 def claims_on(held_out: HeldOut, extended: Fit) -> list[Share]:
     """Share of each effect of the plant that the confirming data want."""
     model = extended.model
-    return _claims(effect_shares(Hypothesis(held_out.problem, adapt(held_out, model, model))), extended)
-
-
-def _claims(shares: tuple[Share, ...], fitted: Fit) -> list[Share]:
-    """Those of ``shares`` that act on the plant: effects of the controller are known from its law."""
-    return [share for share in shares if share.name in _plant(fitted)]
+    return effect_shares(Hypothesis(held_out.problem, adapt(held_out, model, model)))
 
 
 def _plant(fitted: Fit) -> list[str]:
@@ -396,7 +382,7 @@ def centred(fitted: Fit) -> Fit:
     if model is fitted.model:
         return fitted
     moved = evaluate(fitted.with_model(model), fitted.slots, fitted.covariance)
-    return moved if moved.cost < fitted.cost + RISE * _unit(fitted) else fitted
+    return moved if moved.cost < fitted.cost + rules.CHANCE**2 * _unit(fitted) else fitted
 
 
 def deviation_in_time(fitted: Fit, index: int, place: int, record: int) -> float:
@@ -410,11 +396,12 @@ def deviation_in_time(fitted: Fit, index: int, place: int, record: int) -> float
 def indistinct(fitted: Hypothesis, index: int, place: int, record: int) -> tuple[float, float]:
     """Range of instants [s] around that of effect ``index`` on ``record`` with equal cost, all else unchanged.
 
-    Of length zero where two samples to either side leave more.
+    All that cost no more than a parameter with quadratic cost that is off by ``rules.CHANCE`` deviations. Of length
+    zero where two samples to either side leave more.
     """
     problem, now = fitted.problem, float(fitted.model.values[index][record, place])
     residual = fitted.residual("used")
-    limit = float(residual @ residual) + RISE * _unit(fitted)
+    limit = float(residual @ residual) + rules.CHANCE**2 * _unit(fitted)
 
     def leaves_as_little(instant: float) -> bool:
         try:
@@ -424,7 +411,7 @@ def indistinct(fitted: Hypothesis, index: int, place: int, record: int) -> tuple
         return float(changed @ changed) < limit
 
     def end(way: float, bound: float) -> float:
-        reached, step = now, FIRST * problem.period
+        reached, step = now, 2.0 * problem.period
         while reached != bound:
             further = min(reached + step, bound) if way > 0.0 else max(reached - step, bound)
             if not leaves_as_little(further):
@@ -434,7 +421,7 @@ def indistinct(fitted: Hypothesis, index: int, place: int, record: int) -> tuple
             return bound
         if reached == now:
             return now
-        for _ in range(HALVINGS):
+        for _ in range(rules.HALVINGS):
             middle = 0.5 * (reached + further)
             reached, further = (middle, further) if leaves_as_little(middle) else (reached, middle)
         return reached

@@ -34,13 +34,6 @@ from emps_design.simulation import Run
 from emps_design.simulation.synthetic import point_to_point
 from emps_design.units import Units
 
-MARGIN = 0.9  # of the record's top speed and acceleration
-EDGE = 0.02  # of its travel, left free at both ends
-SHORTEST, LONGEST = 10.0, 25.0  # s: cycles repeat until the first, and none starts after the second
-BAND_HZ = 60.0  # of the measured acceleration
-SWEEP_HZ = (2.0, 100.0)  # of the chirp
-LEAST_FOLLOWED = 0.02  # of a chirp: the reference is at most fifty times the wanted motion
-
 Move = tuple[float, float, float, float]  # target [m], share of the speed, of the acceleration, pause after it [s]
 
 FILE = "experiment.csv"
@@ -52,9 +45,6 @@ EXPERIMENTS = {  # the excitation that varies one quantity and little else
     "frequency": "chirp_on_a_slow_run",
     "time since a reversal": "stop_and_dwell",
 }
-PULSE = 1e-6  # m, small enough for no voltage limit
-REFITTED = 2  # excitations for which the rivals are fitted to convergence
-STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -87,16 +77,16 @@ class Envelope:
         records = tuple(records)
         period = records[0].period
         commanded = [np.diff(r.q_ref) / period for r in records]
-        moved = [motion(r, BAND_HZ) for r in records]
+        moved = [motion(r, rules.CUTOFF_HZ) for r in records]
         low, high = min(float(r.q.min()) for r in records), max(float(r.q.max()) for r in records)
         return cls(
             period=period,
             home=float(records[0].q_ref[0]),
-            low=low + EDGE * (high - low),
-            high=high - EDGE * (high - low),
-            speed=MARGIN * min(_top(commanded), _top(m.v for m in moved)),
-            acceleration=MARGIN * min(_top(np.diff(v) / period for v in commanded), _top(m.a for m in moved)),
-            jerk=MARGIN * _top(np.diff(v, 2) / period**2 for v in commanded),
+            low=low + rules.NEGLIGIBLE * (high - low),
+            high=high - rules.NEGLIGIBLE * (high - low),
+            speed=rules.NEARLY_ALL * min(_top(commanded), _top(m.v for m in moved)),
+            acceleration=rules.NEARLY_ALL * min(_top(np.diff(v) / period for v in commanded), _top(m.a for m in moved)),
+            jerk=rules.NEARLY_ALL * _top(np.diff(v, 2) / period**2 for v in commanded),
         )
 
     @property
@@ -124,9 +114,9 @@ class Envelope:
         Steps of acceleration are smoothed to the jerk of the record.
         """
         parts, here, n = [np.full(self.samples(0.2), self.home)], self.home, 0
-        while n * self.period < SHORTEST:
+        while n * self.period < rules.LASTING[0]:
             for target, speed, acceleration, pause in cycle:
-                if n * self.period > LONGEST:
+                if n * self.period > rules.LASTING[1]:
                     break
                 parts += self._move(here, target, speed, acceleration, pause)
                 here, n = target, n + parts[-2].size + parts[-1].size
@@ -212,7 +202,7 @@ def stop_and_dwell(e: Envelope) -> np.ndarray:
 def identical_laps(e: Envelope) -> np.ndarray:
     """Repeat one lap, forth at full and back at half the top speed, again and again."""
     lap = [(e.far, 1.0, 1.0, 0.1), (e.low, 0.5, 1.0, 0.1)]
-    return e.trace(lap * max(1, round(LONGEST * e.speed / (3.5 * (e.far - e.low)))))
+    return e.trace(lap * max(1, round(rules.LASTING[1] * e.speed / (3.5 * (e.far - e.low)))))
 
 
 def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
@@ -226,13 +216,13 @@ def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
     fade = np.convolve(turning, np.ones(3 * width), mode="same") < 0.5
     for _ in range(3):  # in and out inside the runs at constant speed, without a step of jerk
         fade = np.convolve(fade, np.full(width, 1 / width), mode="same")
-    first, last = SWEEP_HZ[0], min(SWEEP_HZ[1], 0.2 / e.period)
+    first, last = rules.LINES_HZ[0], min(rules.LINES_HZ[1], 0.2 / e.period)
     up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * (base - e.low) / stroke)
     omega = 2 * np.pi * first * (last / first) ** up_and_down
     # Smoothly the least of what speed (the run must not reverse), acceleration and jerk leave room for.
     half = 0.5 * e.acceleration
     room = half / (1 + half / (0.35 * slow * e.speed * omega) + half * omega / e.jerk)
-    amplitude = room / omega**2 / np.maximum(e.follows(omega), LEAST_FOLLOWED)
+    amplitude = room / omega**2 / np.maximum(e.follows(omega), rules.NEGLIGIBLE)
     return base + fade * amplitude * np.sin(np.cumsum(omega) * e.period)
 
 
@@ -382,19 +372,19 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Nex
 
     def converged(name: str) -> _Apart:
         pair = first[name].pair
-        both_ways = side_by_side(_apart, [(*way, references[name], noise, STEPS) for way in _directions(pair)])
+        both_ways = side_by_side(
+            _apart, [(*way, references[name], noise, rules.FEW_STEPS) for way in _directions(pair)]
+        )
         return replace(min(both_ways, key=lambda apart: apart.over_noise), pair=pair)
 
     ranked = sorted(first, key=lambda name: -first[name].over_noise)
     chosen, best = ranked[0], converged(ranked[0])
-    for name in ranked[1:REFITTED]:
-        # Further steps only bring rivals closer: the best stays best if it exceeds the others' distance after one step.
-        if best.over_noise >= first[name].over_noise:
-            break
-        further = converged(name)
+    # Further steps only bring rivals closer: the best stays best if it exceeds the others' distance after one step.
+    if len(ranked) > 1 and best.over_noise < first[ranked[1]].over_noise:
+        further = converged(ranked[1])
         if further.over_noise > best.over_noise:
-            chosen, best = name, further
-    needed = rules.LUCK + float(np.sqrt(rules.LUCK**2 + threshold))  # D^2 - 2 LUCK D = threshold
+            chosen, best = ranked[1], further
+    needed = rules.CHANCE + float(np.sqrt(rules.CHANCE**2 + threshold))  # D^2 - 2 CHANCE D = threshold
     decides, (effect, other) = best.over_noise >= needed, best.effects
     return NextExperiment(
         text=_text(chosen, best, needed, references[chosen].size * envelope.period),
@@ -479,12 +469,12 @@ def _one_record(fitted: Fit) -> tuple[Candidate, tuple[Slot, ...], np.ndarray]:
 def _following(hypothesis: Hypothesis) -> Callable[[np.ndarray], np.ndarray]:
     """Gain (n,) from reference to position over angular frequencies (n,) [rad/s], without dry friction and effects."""
     pulse = np.zeros(8192)
-    pulse[1] = PULSE
+    pulse[1] = 1e-6  # m, small enough for no voltage limit
     mass, viscous, *_ = hypothesis.model.baseline
     smooth = hypothesis.with_model(Candidate(np.array([mass, viscous, 0.0, 0.0])))
     answer = smooth.simulate(0, q_ref=pulse).position
     omega = 2 * np.pi * np.fft.rfftfreq(pulse.size, hypothesis.problem.period)
-    gain = np.abs(np.fft.rfft(answer)) / PULSE
+    gain = np.abs(np.fft.rfft(answer)) / pulse[1]
     return lambda wanted: np.interp(wanted, omega, gain)
 
 
@@ -505,7 +495,7 @@ def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, limits: np.ndarray) -> bool
         reached = _extremes(hypothesis.simulate(0, q_ref=q_ref))
     except SimulationError:
         return False
-    room = rules.SLACK * np.array([limits[0] + limits[1], limits[0] + limits[1], *limits[2:]])
+    room = rules.SLIGHT * np.array([limits[0] + limits[1], limits[0] + limits[1], *limits[2:]])
     return bool(np.all(reached <= limits + room))
 
 

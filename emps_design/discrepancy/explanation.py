@@ -9,6 +9,7 @@ frequency response.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -24,18 +25,10 @@ from emps_design.discrepancy.experiment import NextExperiment, experiment, what_
 from emps_design.discrepancy.fit import Fit, fit
 from emps_design.discrepancy.gap import most_missed
 from emps_design.discrepancy.parallel import side_by_side
+from emps_design.discrepancy.placement import Extent, Placement, extent, placement, where_document
 from emps_design.discrepancy.preparation import Preparation, command_of
 from emps_design.discrepancy.problem import Hypothesis
-from emps_design.discrepancy.residual_views import (
-    SPECTRAL,
-    Extent,
-    View,
-    extent,
-    shown,
-    spectrum_over_time,
-    views,
-    where_document,
-)  # fmt: skip
+from emps_design.discrepancy.residual_views import SPECTRAL, View, shown, spectrum_over_time, views
 from emps_design.discrepancy.result import Diagnosis, Finding
 from emps_design.discrepancy.starts import Start, Tangent, tangent
 from emps_design.discrepancy.unexplained import (
@@ -59,18 +52,8 @@ from emps_design.quantities import inside
 from emps_design.records import Record
 from emps_design.units import Units
 
-DRAWS = 19  # of the parameters: with the fitted ones, their range is a 90 % interval
-ELSEWHERE = 0.2  # share of the squared force away from reversals from which only that part is used
-
-TRIED_STEPS, READJUSTING_STEPS = 1, 3  # of the fit without an effect: from either start, and from the better one
-
-ABSURD = 1e3  # times the typical size of a parameter
 HIDDEN = "any size: these records do not bring it out"
 NO_START = "not looked for: nothing in these records to start from"
-FAR = 300.0  # factor on a shape parameter at which the effect has faded
-CLOSE = 1.1  # ratio to which the limit of detection is bisected
-
-SHOWN_CANDIDATES = 10
 UNDETERMINED = {"value": None, "std": None}
 # The quantity of the view for each coordinate of an extent.
 _OVER = {"reversals": "time from reversal", "speed": "velocity", "position": "position", "time": "time"}
@@ -95,7 +78,7 @@ def contribution(hypothesis: Hypothesis, index: int, number: int = 0) -> tuple[n
     missing = missing_force(Hypothesis(played, model.without(index)))[0]
     force = missing.force - np.median(missing.force[used])
     away = missing.away & used
-    return force, away if np.sum(force[away] ** 2) > ELSEWHERE * np.sum(force[used] ** 2) else used
+    return force, away if np.sum(force[away] ** 2) > rules.PART * np.sum(force[used] ** 2) else used
 
 
 def most_exercised(hypothesis: Hypothesis, index: int) -> int:
@@ -114,13 +97,13 @@ def most_exercised(hypothesis: Hypothesis, index: int) -> int:
 
 
 def parameter_draws(fitted: Fit, index: int, seed: int = 0) -> list[Hypothesis]:
-    """``DRAWS`` models with the parameters of effect ``index`` drawn from their covariance."""
+    """``rules.DRAWS`` models with the parameters of effect ``index`` drawn from their covariance."""
     own = [i for i, slot in enumerate(fitted.slots) if slot.effect == index]
     slots, model = tuple(fitted.slots[i] for i in own), fitted.model
     size = np.array([slot.magnitude for slot in slots])
     values, vectors = np.linalg.eigh(fitted.covariance[np.ix_(own, own)] / np.outer(size, size))
     root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    centre, chances = model.vector(slots), np.random.default_rng(seed).standard_normal((DRAWS, len(own)))
+    centre, chances = model.vector(slots), np.random.default_rng(seed).standard_normal((rules.DRAWS, len(own)))
     draws = [model.with_vector(slots, centre + root @ chance) for chance in chances] if own else []
     return [fitted.with_model(draw) for draw in draws]
 
@@ -163,7 +146,7 @@ def _finding(validation: Validation, index: int) -> Finding:
         effect=kind_of(effect.name),
         label=effect.label,
         channel=effect.channel,
-        where=_where(extended, index, record),
+        where=_where(extended, index, record, rules.SOME * outcome.floor.force),
         parameters=parameters,
         p_value=outcome.healthy.p_value(without.cost - extended.cost),
         gap_before=force_rms(without),
@@ -205,16 +188,24 @@ def _without(extended: Fit, index: int, first: Fit) -> Fit:
     """
     rest = extended.model.without(index)
     begins = (rest, replace(rest, baseline=first.model.baseline))
-    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, TRIED_STEPS) for begin in begins])
+    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, 1) for begin in begins])
     runs = [fitted for fitted in tried if fitted.innovations]
     if not runs:  # no simulation without the effect: compare with the baseline
         return first
-    return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=READJUSTING_STEPS)
+    return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=rules.FEW_STEPS)
 
 
-def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
-    """The contract's ``where`` of effect ``index`` on record ``number``, with confidence from drawn parameters."""
-    record = fitted.problem.records[number]
+def _where(fitted: Fit, index: int, number: int, least: float) -> dict[str, Any]:
+    """The contract's ``where`` of effect ``index`` on record ``number``, with confidence from drawn parameters.
+
+    What the model misses without the effect is placed, from ``least`` [N] on; not that of an effect of the controller,
+    which the loop counteracts.
+    """
+    record, placed = fitted.problem.records[number], None
+    if fitted.model.effects[index].channel != "controller":
+        placed = Placement()
+        with suppress(SimulationError):
+            placed = placement(fitted.with_model(fitted.model.without(index)), number, least)
 
     def extent_of(hypothesis: Hypothesis) -> Extent | None:
         try:
@@ -226,7 +217,7 @@ def _where(fitted: Fit, index: int, number: int) -> dict[str, Any]:
     regions = [region for region in tried if region is not None]
     if not regions:  # no simulation without the effect: it acts wherever the model moves
         regions.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
-    where = where_document(regions[0], fitted.problem.axis.units, regions[1:])
+    where = where_document(regions[0], fitted.problem.axis.units, regions[1:], placed)
     return where if len(fitted.problem.records) == 1 else {**where, "record": record.name}
 
 
@@ -289,7 +280,7 @@ def _by_amplitude(starts: Sequence[Start], gain: float, least: float) -> tuple[P
     parameter = effect.parameters[place]
     amplitudes = [float(np.abs(s.model.values[-1][:, place]).max() * np.sqrt(gain) / s.size) for s in starts]
     # Some shapes are never excited, such as an event at the record's end, or a speed that it does not reach.
-    most = min(ABSURD * parameter.scale if parameter.scale else np.inf, parameter.upper)
+    most = min(rules.FAR * parameter.scale if parameter.scale else np.inf, parameter.upper)
     sane = [
         amplitude
         for amplitude, start in zip(amplitudes, starts, strict=True)
@@ -326,13 +317,13 @@ def _by_shape(
 
     value = float(faintest[0, 0])
     try:
-        ends = [min(max(value * far, parameter.lower), parameter.upper) for far in (FAR, 1 / FAR)]
+        ends = [min(max(value * far, parameter.lower), parameter.upper) for far in (rules.FAR, 1 / rules.FAR)]
         there = [innovations(end) for end in ends]
         grows = apart(there[0], absorbed.whole) < apart(there[1], absorbed.whole)
         unseen, faded = ends[not grows], there[not grows]
         if apart(innovations(value), faded) < gain:
             return parameter, None, grows
-        while max(value, unseen) > CLOSE * min(value, unseen):
+        while max(value, unseen) > rules.CLOSE * min(value, unseen):
             middle = float(np.sqrt(value * unseen))
             value, unseen = (middle, unseen) if apart(innovations(middle), faded) >= gain else (value, middle)
     except SimulationError:
@@ -443,13 +434,13 @@ def _records(validation: Validation) -> list[dict[str, Any]]:
     return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
 
 
-def _candidates(validation: Validation) -> list[dict[str, Any]]:
-    """Rows of the effects by the gain of each alone on top of the baseline."""
+def _candidates(validation: Validation, shown: int = 10) -> list[dict[str, Any]]:
+    """Rows of the first ``shown`` effects by the gain of each alone on top of the baseline."""
     outcome = validation.outcome
     base, to_beat = outcome.path[0], outcome.judge.to_beat(outcome.path[0])
     ranked = sorted(outcome.alone.items(), key=lambda pair: -pair[1])
     rows = []
-    for name, gain in ranked[:SHOWN_CANDIDATES]:
+    for name, gain in ranked[:shown]:
         full = outcome.tried.get(frozenset((*base.model.names, name)))
         rows.append(
             {

@@ -169,11 +169,11 @@ def refit_per_record(hypothesis: Hypothesis) -> Candidate:
             models = [hypothesis.model.with_row(index, row) for row in rows]
             trials = side_by_side(evaluate, [(hypothesis.with_model(model),) for model in models])
             best = min(trials, key=lambda trial: trial.cost)
-            if best.cost < rules.BETTER_PROPOSAL * trials[0].cost:
+            if best.cost < (1 - rules.NEGLIGIBLE) * trials[0].cost:
                 hypothesis = hypothesis.with_model(best.model)
     before = evaluate(hypothesis)
     after = fit(hypothesis, "used", hypothesis.model.slots(frozen=True))
-    return after.model if after.cost < rules.BETTER_FIT * before.cost else before.model
+    return after.model if after.cost < (1 - rules.STILL_PAYS) * before.cost else before.model
 
 
 def _proposals(hypothesis: Hypothesis, index: int) -> list[np.ndarray]:

@@ -9,11 +9,13 @@ from functools import partial
 from typing import Any
 
 from emps_design.axis import Axis
+from emps_design.discrepancy import rules
 from emps_design.discrepancy.closest import Closest
 from emps_design.discrepancy.experiment import NextExperiment
 from emps_design.discrepancy.gap import Gap, Prediction
 from emps_design.discrepancy.noise_floor import Floor
-from emps_design.discrepancy.residual_views import EVERYWHERE, View as ResidualView
+from emps_design.discrepancy.placement import EVERYWHERE
+from emps_design.discrepancy.residual_views import View as ResidualView
 from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
 from emps_design.discrepancy.view import diagnosis_view
 from emps_design.frequency_response.coupling import ResponseComparison
@@ -22,7 +24,6 @@ from emps_design.units import LINEAR, Units
 from emps_design.view import View, Viewed
 
 SCHEMA = "emps-design/diagnosis/1"
-MOST_IN_FULL = 2  # findings with all their parameters in the sentence
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ class Diagnosis(Viewed):
         error = f"{units.word('force')} error"
         gap = f"{where} {error} {before} -> {remaining}, noise {noise}"
         if self.verdict in ("named", "ambiguous", "partly-named"):
-            if len(self.findings) <= MOST_IN_FULL:
+            if len(self.findings) <= rules.FEW:
                 text = "; ".join(finding.in_words(units) for finding in self.findings)
             else:
                 text = f"{len(self.findings)} effects are missing: "
@@ -187,6 +188,7 @@ class Diagnosis(Viewed):
         |---|---|
         | ``simulation`` | "closed loop", or "inverse model" where the controller is not known |
         | ``unexplained`` | for ``unnamed`` and ``partly-named``: {rms [N], share, over, predicted, text, map, ...} |
+        | ``regions`` | of a ``where``, if tested: {false_discovery_rate, proposed, passed, speed, position, time} |
         | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: what the baseline misses |
         | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
         | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |

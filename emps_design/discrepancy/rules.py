@@ -1,18 +1,20 @@
-"""Every number that a diagnosis is given, with its reason, in the order of docs/theory/diagnosis.md."""
+"""Every number that decides on an answer, in the order of docs/theory/diagnosis.md."""
 
 from __future__ import annotations
 
 # Shares, for all that is a part of something
 BARELY = 1e-3  # of a command, of a cost: less is not seen, and leads no further
+NEGLIGIBLE = 0.02  # counts as nothing: of a travel, of samples, of a speed, of a cost, of a motion that follows
 SLIGHT = 0.05  # of a size, a time, a gain, of the noise: less does not matter
 MINOR = 0.1  # of a force or a gain: less may be noise, is no suspect, is looked at last
 QUARTER = 0.25  # of a bandwidth, for the loop around it; of a mean speed: less deviation is one speed only
 SOME = 0.3  # of the noise in a force, of a gain where it must show again: less is none
+PART = 0.2  # of a mean square: a variable that predicts it is named, a force with it elsewhere is no force of reversals
 THIRD = 1 / 3  # of the strokes are held out; laps that agree so much better than others tell the noise
-HALF = 0.5  # of the best gain, of a number: more competes, or has moved too far
+HALF = 0.5  # of the best gain, of a number: more competes, or moved too far; of an effect or excess: less is not enough
 CLEARLY_LESS = 0.7  # of what first differences of laps, or few shapes of a force, leave: second ones, more shapes pay
-MOST = 0.8  # of what changes is improvement
-NEARLY_ALL = 0.9  # of a structure explained, of a power inside its band, of a gain reached by a rival
+MOST = 0.8  # of what changes is improvement, of a gap explained on any record, of a force in its extent
+NEARLY_ALL = 0.9  # of a structure, of a power in its band, of a gain, of a time, of a motion: as good as all
 TWICE = 2.0  # the noise of a loop, the cost of a fit: more is loud, or another place
 
 # Records that can be judged
@@ -117,33 +119,49 @@ WORTH_DESCRIBING = 0.002  # of the cost: gain that a further effect of the close
 # What is accepted
 WORTH = 0.01  # of the whitened cost that a finding must gain: half a percent of the residual force
 WORTH_AT_FLOOR = 0.03  # the same where only noise is left to explain
-CHANCE = 2.0  # standard deviations of a stroke's cost
+CHANCE = 2.0  # standard deviations that chance may take: of a stroke's cost, of a force, of a difference in cost
 BURST = 5.0  # standard deviations at which a sample's cost is capped
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
 AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
 
+# What words of a share mean, wherever a diagnosis is explained
+SURE = 3.0  # standard deviations of a difference that is none by chance; ``CHANCE`` may be
+
 # What the confirming record says
-ASKED_APART = 0.3  # deviation of a share from 1, beyond which a record refutes the effect
-SHARE_KNOWN = 0.1  # deviation of a share, beyond which an effect beside something unknown does not stand
-SURE = 3.0  # standard deviations
-BETTER_PROPOSAL = 0.98  # of the cost with the old per-record parameters, which a proposal for them must stay below
-BETTER_FIT = 0.995  # the same for the fit that follows
+HUBER = 1.345  # standard deviations beyond which the influence is constant: 95 % efficient for Gaussian noise
+ROBUST_STEPS = 20  # of each of these fits: it may end far from least squares
+RIVAL_STEPS = 8  # of the fit of a rival in a finding's place
+HALVINGS = 7  # by which the end of a range of equal instants is found: a hundredth of the last step
 
 # The verdict
-FREE_RUN = 1.1  # times the baseline's velocity error, driven by the command alone, beyond which a model is refuted
-EXPLAINED = 0.8  # of the excess over the floor, in force, a model must explain to stand where it does not reach it
 QUIET = 1.5  # times the noise, in force: residual of a whole record up to which nothing may be missing
-COMPLETE = 0.97  # of the excess: a model that explains more leaves nothing to name, even with structure
-HELD = 0.8  # of the share explained on the training record must be explained on the confirming one
-LOST = 0.05  # of the gain of a model; where refuted effects contributed more, the rest is doubtful too
-MOST_EQUIVALENTS = 3
-EQUIVALENT = 0.03  # of the gain of a finding: a rival this close is an equivalent where structure is left
-OF_A_KIND = 0.5  # of the excess of the baseline, which a kind of unknown force must explain
-PLAIN = 4.0  # times what noise would give: structure of a law, excess from which one kind of force may end the search
-DEPENDS = 0.2  # of the mean square of the residual, from which a variable that predicts it is named
+MOST_EQUIVALENTS = 3  # with more a finding has no name
+EQUIVALENT = 0.03  # of a gain where structure is left: a rival this close is an equivalent, a rest this small is none
+PLAIN = 4.0  # times the whitened cost of noise: excess from which an unknown force of one kind may end the search
 OFF = 0.005  # of a parameter's magnitude: relevant error of the axis file
-OFF_SURELY = 3.0  # standard deviations: significant error of the axis file
+
+# An unknown force
+REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
+SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
+DEGREE = 4  # of polynomials in position and in speed; twice that of those in one variable alone
+FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: one that lasts a stroke would be a spring
+RESTING_TIME = 0.04  # s, in which a contact ages at rest
+FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
+DEGREE_ALONG = 6  # of a kind's polynomials in position; twice that where the finer shape leaves clearly less
+LOOP_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
+
+# Where, how much, and in words
+FALSE_REGIONS = 0.05  # share of false regions among those in which a force is placed, on average
+CELLS = 160  # of a coordinate: resolution of an extent
+CELL_TIME = 0.05  # s, the same over time; two of them on both sides are the neighbourhood of a reversal
+APART = 0.3  # s between two separate intervals of time
+MOST_INTERVALS = 6  # more are no events
+PEAK = 0.995  # quantile of the force for "up to"
+DRAWS = 19  # of the parameters: with the fitted ones, their range is a 90 % interval
+FAR = 300.0  # factor on a shape at which an effect has faded, times a typical size at which it was never excited
+CLOSE = 1.1  # ratio of sizes that are alike: of a limit of detection, of velocity errors in a free run
+FEW_STEPS = 3  # of a fit that begins near its end: without one effect, or of a rival on an excitation
+LINES_HZ = (2.0, 100.0)  # of a spectrum: lower lines belong to the strokes, higher ones to no drive here
 
 # The experiment
-LUCK = 2.0  # standard deviations of a difference in cost that chance may take from the right model
-SLACK = 0.05  # by which a motion may exceed the extremes of the same model on the records
+LASTING = (10.0, 25.0)  # s: the cycles of an excitation repeat until the first, and none starts after the second

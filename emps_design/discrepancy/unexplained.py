@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,11 @@ from emps_design.discrepancy.acceptance import force_rms
 from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import Share
 from emps_design.discrepancy.gap import most_missed
+from emps_design.discrepancy.placement import EVERYWHERE, extent, placement, where_document
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis
-from emps_design.discrepancy.residual_views import EVERYWHERE, extent, force_map, where_document
-from emps_design.discrepancy.unknown_force import SLOWEST, MissingForce, missing_force, since_reversal
+from emps_design.discrepancy.residual_views import force_map
+from emps_design.discrepancy.unknown_force import MissingForce, missing_force, since_reversal
 from emps_design.discrepancy.verdict import Validation
 from emps_design.discrepancy.words import filled, listed
 from emps_design.messages import Message, note, warning
@@ -36,12 +37,7 @@ FOLLOWED = (
     "adds to the {voltage} cannot be checked"
 )
 
-DEGREE = 8  # of the polynomials in one variable
-RIDGE = 1e-6  # of the mean square of a column
-SAID = 2  # variables in the sentence
-LOWEST_HZ = 2.0  # below, lines belong to the strokes
 FROM_THE_LAW = "by which the command differs from the controller's law"
-WIDTH = 0.1  # of a frequency, within which its line counts
 
 
 def calibration_in_words(search: Outcome) -> str:
@@ -184,15 +180,11 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     remaining = float(np.sqrt(max(min(judged.remaining_force, judged.gap.extended) ** 2 - floor**2, 0.0)))
     share = remaining**2 / max(judged.gap.baseline**2 - floor**2, remaining**2, 1e-30)
     shares = predicted(validation, confirming=judged is held_out)
-    over = [name for name in sorted(shares, key=lambda name: -shares[name]) if shares[name] > rules.DEPENDS]
+    over, depends = follows(shares)
     problem, units = shown.problem, shown.problem.axis.units
     region = extent(problem.records[most], shown.residuals()[most], problem.splits[most].used, floor)
-    where = where_document(region, units)
-    place = "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
-    depends = "it depends on none of position, velocity, time and load alone"
-    if over:
-        parts = [f"{name} ({100 * shares[name]:.0f} %)" for name in over[:SAID]]
-        depends = f"it follows {' and '.join(parts)} on data that it was not fitted to"
+    where = where_document(region, units, shown=placement(shown, most, rules.SOME * floor))
+    place = most_of_it(where)
     if validation.kind:
         depends = like(validation.kind, validation.kind_leaves, units)
     text = (
@@ -219,6 +211,24 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     }
 
 
+def most_of_it(where: Mapping[str, Any]) -> str:
+    """The place of a residual in ``where``, to go on a sentence; empty where it has none."""
+    return "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
+
+
+def follows(predicted: Mapping[str, float]) -> tuple[list[str], str]:
+    """The variables that predict a good part of the residual, best first, and a clause that names them.
+
+    >>> follows({"position": 0.1, "time": 0.5})
+    (['time'], 'it follows time (50 %) on data that it was not fitted to')
+    """
+    over = [name for name in sorted(predicted, key=lambda name: -predicted[name]) if predicted[name] > rules.PART]
+    if not over:
+        return over, "it depends on none of position, velocity, time and load alone"
+    parts = [f"{name} ({100 * predicted[name]:.0f} %)" for name in over[: rules.FEW]]
+    return over, f"it follows {' and '.join(parts)} on data that it was not fitted to"
+
+
 def like(kind: str, leaves: float, units: Units) -> str:
     """Text for a residual that an unknown force of a ``kind`` reduces to ``leaves`` [N], noise included.
 
@@ -233,7 +243,7 @@ def _where_it_shows(validation: Validation) -> Hypothesis:
     data, held_out = validation.outcome.preparation.held_out, validation.held_out
     if data is None or held_out is None or not validation.training_is_quiet:
         return validation.extended
-    return Hypothesis(data.problem, held_out.extended)
+    return Hypothesis(data.problem.with_whitening(validation.extended.problem.whitening), held_out.extended)
 
 
 def predicted(validation: Validation, confirming: bool = True) -> dict[str, float]:
@@ -268,7 +278,7 @@ def depends_on(
         design, force = _design(known, used, name, ranges[name])
         others, wanted = _design(new, there, name, ranges[name])
         square = design.T @ design
-        ridge = RIDGE * np.trace(square) / len(square) * np.eye(len(square))
+        ridge = rules.NOTHING * np.trace(square) / len(square) * np.eye(len(square))
         rest = wanted - others @ np.linalg.solve(square + ridge, design.T @ force)
         shares[name] = max(0.0, 1.0 - float(rest @ rest) / max(float(wanted @ wanted), 1e-30))
     return shares | {"frequency": _in_one_line(new, there)}
@@ -296,22 +306,22 @@ def _design(
     rows, force = [], []
     for gap, mask in zip(missing, masks, strict=True):
         x = np.clip(2 * (VARIABLES[name](gap) - scale[0]) / scale[1] - 1, -1, 1)
-        columns, direction = chebvander(x, DEGREE), np.tanh(gap.motion.v / SLOWEST)
+        columns, direction = chebvander(x, 2 * rules.DEGREE), np.tanh(gap.motion.v / rules.SLOWEST)
         rows.append(np.column_stack([columns, columns * direction[:, None]])[mask])
         force.append((gap.force - np.mean(gap.force[mask]))[mask])
     return np.concatenate(rows), np.concatenate(force)
 
 
 def _in_one_line(missing: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...]) -> float:
-    """Share of the missing force's mean square within a tenth of its strongest frequency above ``LOWEST_HZ``."""
+    """Share of the missing force's mean square within a tenth of its strongest frequency above that of the strokes."""
     from scipy.signal import periodogram
 
     shares = []
     for gap, mask in zip(missing, masks, strict=True):
         frequency, power = periodogram(np.where(mask, gap.force, 0.0), 1 / gap.motion.period)
-        power[frequency < LOWEST_HZ] = 0.0
+        power[frequency < rules.LINES_HZ[0]] = 0.0
         top = frequency[np.argmax(power)]
-        near = np.abs(frequency - top) < WIDTH * top
+        near = np.abs(frequency - top) < (1 - rules.NEARLY_ALL) * top
         whole = max(float(np.var(gap.force[mask])) / max(frequency[1], 1e-12), 1e-30)
         shares.append(min(1.0, float(power[near].sum()) / whole))
     return float(np.mean(shares))

@@ -30,20 +30,6 @@ from emps_design.errors import SimulationError
 from emps_design.identification.filters import held_force, motion
 from emps_design.observer import motor_share
 
-REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
-SELDOM = 0.02  # of the used samples: where no more are away from reversals, all samples in motion count
-SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
-
-DEGREE = 4  # of the polynomials in position and in speed
-FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: one that lasts a stroke would be a spring
-RESTING_TIME = 0.04  # s, in which a contact ages at rest
-FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
-
-COARSE = 6  # degree of the polynomials in position
-FINE = 12  # the same where a finer shape leaves clearly less
-SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
-PUSH = 0.1  # of the residual force: rms of a column when its response is simulated
-
 # Forces (n, k) of the measured motion and the simulated position (n,) [m].
 Columns = Callable[[Motion, np.ndarray], np.ndarray]
 
@@ -76,15 +62,15 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
         viscous = baseline[VISCOUS] * (measured.v - simulated.v)
         force = acted - predicted - inertia - viscous
         away = away_from_reversals(measured.v, record.period) & split.used
-        if away.sum() <= SELDOM * split.used.sum():  # a motion that reverses nearly all the time
+        if away.sum() <= rules.NEGLIGIBLE * split.used.sum():  # a motion that reverses nearly all the time
             away = away_from_reversals(measured.v, record.period, 0.0) & split.used
         result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)
 
 
-def away_from_reversals(v: np.ndarray, period: float, margin: float = REVERSAL_MARGIN) -> np.ndarray:
+def away_from_reversals(v: np.ndarray, period: float, margin: float = rules.REVERSAL_MARGIN) -> np.ndarray:
     """Samples (n,) bool in which ``v`` (n,) [m/s] keeps its sign for ``margin`` [s] on both sides."""
-    sliding = np.abs(v) > max(SLOWEST, 0.01 * float(np.abs(v).max()))
+    sliding = np.abs(v) > max(rules.SLOWEST, 0.01 * float(np.abs(v).max()))
     return sliding & ~near_reversals(v, period, margin)
 
 
@@ -126,8 +112,8 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
     from numpy.polynomial.chebyshev import chebvander
 
     v = np.gradient(q, period)
-    direction, speed = np.tanh(v / SLOWEST), np.abs(v) / np.abs(v).max()
-    surface = along(q, DEGREE)[:, :, None] * chebvander(2 * speed - 1, DEGREE)[:, None]
+    direction, speed = np.tanh(v / rules.SLOWEST), np.abs(v) / np.abs(v).max()
+    surface = along(q, rules.DEGREE)[:, :, None] * chebvander(2 * speed - 1, rules.DEGREE)[:, None]
     surface = surface.reshape(q.size, -1)
     remembered, count = (memories(q, period), fading_memories(v, period)), surface.shape[1]
     functions = np.empty((q.size, 2 * count + sum(part.shape[1] for part in remembered)))
@@ -157,35 +143,35 @@ def memories(q: np.ndarray, period: float) -> np.ndarray:
     On the age of the contact, the way since a reversal, and fading memories of direction and of sliding.
     """
     v = np.gradient(q, period)
-    direction = np.tanh(v / SLOWEST)
+    direction = np.tanh(v / rules.SLOWEST)
     way = np.cumsum(np.abs(v)) * period
     way -= way[np.arange(q.size) - since_reversal(v)]
-    fading = np.exp(-way[:, None] / FADING_WAYS)
+    fading = np.exp(-way[:, None] / rules.FADING_WAYS)
     along_it = np.column_stack([contact_age(v, period), fading, fading_memories(np.abs(direction), period)])
     return np.column_stack([along_it * direction[:, None], fading_memories(direction, period)])
 
 
 def fading_memories(signal: np.ndarray, period: float) -> np.ndarray:
-    """Fading memories (n, k) of a ``signal`` (n,), one for each of ``FADING_TIMES``."""
+    """Fading memories (n, k) of a ``signal`` (n,), one for each of ``rules.FADING_TIMES``."""
     from scipy.signal import lfilter
 
-    shares = [period / time for time in FADING_TIMES]
+    shares = [period / time for time in rules.FADING_TIMES]
     return np.column_stack([lfilter([share], [1.0, share - 1.0], signal) for share in shares])
 
 
 def contact_age(v: np.ndarray, period: float) -> np.ndarray:
     """Age of a contact, 0 to 1, (n, k) along a velocity ``v`` (n,) [m/s]: it grows at rest and decays in sliding.
 
-    It grows within ``RESTING_TIME`` and decays within each of ``FADING_TIMES``, from 1 at first.
+    It grows within ``rules.RESTING_TIME`` and decays within each of ``rules.FADING_TIMES``, from 1 at first.
 
     >>> v = np.concatenate([np.zeros(3), np.ones(640), np.zeros(1000)])
     >>> contact_age(v, 1e-3)[[2, 642, -1], -1].round(3).tolist()
     [1.0, 0.368, 1.0]
     """
-    slides, times = np.abs(v) > 0.5 * SLOWEST, np.array(FADING_TIMES)
+    slides, times = np.abs(v) > 0.5 * rules.SLOWEST, np.array(rules.FADING_TIMES)
     states, now, begin = np.empty((v.size, times.size)), np.ones(times.size), 0
     for end in np.append(np.flatnonzero(np.diff(slides)) + 1, v.size):
-        aim, own = (0.0, times) if slides[begin] else (1.0, RESTING_TIME)
+        aim, own = (0.0, times) if slides[begin] else (1.0, rules.RESTING_TIME)
         states[begin:end] = aim + (now - aim) * np.exp(-period * np.arange(1, end - begin + 1)[:, None] / own)
         now, begin = states[end - 1], end
     return states
@@ -228,18 +214,18 @@ def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
     On its speed as well. A memory of the signed velocity would be a spring, or viscous friction.
     """
     v = np.gradient(simulated, measured.period)
-    fast = fading_memories(np.abs(v), measured.period) * np.tanh(v / SLOWEST)[:, None]
+    fast = fading_memories(np.abs(v), measured.period) * np.tanh(v / rules.SLOWEST)[:, None]
     return np.column_stack([memories(simulated, measured.period), fast])
 
 
 def baseline(measured: Motion, simulated: np.ndarray) -> np.ndarray:
     """The columns (n, 4) of the baseline: acceleration, velocity, its direction, and 1."""
     v = measured.v
-    return np.column_stack([measured.a, v, np.tanh(v / SLOWEST), np.ones_like(v)])
+    return np.column_stack([measured.a, v, np.tanh(v / rules.SLOWEST), np.ones_like(v)])
 
 
 def _by_degree(name: str, columns: Callable[..., np.ndarray]) -> tuple[Kind, ...]:
-    return tuple(Kind(name, partial(columns, degree=degree)) for degree in (COARSE, FINE))
+    return tuple(Kind(name, partial(columns, degree=degree)) for degree in (rules.DEGREE_ALONG, 2 * rules.DEGREE_ALONG))
 
 
 # Each with few and with many columns; a kind that is part of another comes before it.
@@ -266,8 +252,8 @@ def beside_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
 def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     """:func:`beside_kind` linearised with the best-fitting force of that kind acting in the loop.
 
-    A large force changes the response of the loop; with a motor at its limit so much that only a share of ``SHARES`` of
-    the force may leave less. Raises as that does.
+    A large force changes the response of the loop; with a motor at its limit so much that only a share of the force, of
+    ``rules.LOOP_SHARES``, may leave less. Raises as that does.
     """
     problem = replace(hypothesis.problem, states=())
     hypothesis = Hypothesis(problem, hypothesis.model)
@@ -279,7 +265,7 @@ def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
     ]
     forces = [column @ share for column, share in zip(columns, shares, strict=True)]
     before = hypothesis.excess()
-    for part in SHARES:
+    for part in rules.LOOP_SHARES:
         acted = Hypothesis(problem.with_acting([part * force for force in forces]), hypothesis.model)
         with suppress(SimulationError):
             if acted.excess() < before:
@@ -288,13 +274,13 @@ def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
 
 
 def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
-    """Forces [N] of a ``kind``, (n, k) along each record, each of rms ``PUSH`` times that of the residual."""
+    """Forces [N] of a ``kind``, (n, k) along each record, each of rms ``rules.MINOR`` times that of the residual."""
     columns = []
     motions = hypothesis.problem.recorded.motions
     for measured, run, residual in zip(motions, hypothesis.runs(), hypothesis.residuals(), strict=True):
         forces = kind.columns(measured, run.q)
         rms = np.sqrt(np.mean(forces * forces, axis=0))
-        columns.append(forces * (PUSH * np.std(residual) / np.maximum(rms, 1e-30)))
+        columns.append(forces * (rules.MINOR * np.std(residual) / np.maximum(rms, 1e-30)))
     return columns
 
 

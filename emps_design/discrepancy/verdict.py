@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -177,54 +177,38 @@ def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
 class Validation:
     """The verdict on an ``outcome`` and its two models, both fitted to all used samples.
 
-    For an unnamed structure both are the robust estimate of the baseline. ``confirmed`` is the share of each finding on
-    the confirming data; ``equivalents`` are the effects that explain the records as well in its place; ``refuted`` are
-    the shares that the held-out data withdrew; ``given_up`` are the effects of a model that explained ``share`` of the
-    gap and did not stand; ``kind``, one of ``unknown_force.KINDS``, is the kind of the rest, where known, and
-    ``kind_leaves`` [N] the residual with an unknown force of that kind. ``in_free_run`` are the velocity errors [m/s]
-    of the baseline and of the model with ``given_up`` effects where these refute the effects.
+    For an unnamed structure both are the robust estimate of the baseline. ``shares`` are those of the findings on the
+    confirming data, on which ``held_out`` compares the models, None where not done; ``equivalents`` are the effects
+    that explain the records as well in a finding's place; ``refuted`` are the shares that the held-out data withdrew;
+    ``given_up`` are the effects of a model that explained ``share`` of the gap and did not stand; ``kind``, one of
+    ``unknown_force.KINDS``, is the kind of the rest, where known, and ``kind_leaves`` [N] the residual with an unknown
+    force of that kind. ``in_free_run`` are the velocity errors [m/s] of the baseline and of the model with ``given_up``
+    effects where these refute the effects.
     """
 
     outcome: Outcome
     verdict: str
     baseline: Fit
     extended: Fit
-    equivalents: dict[str, list[str]]
-    train: GapComparison
-    held_out: GapComparison | None
-    confirmed: dict[str, dict[str, float] | None]
-    refuted: tuple[Share, ...]
-    given_up: tuple[str, ...]
-    share: float
+    equivalents: dict[str, list[str]] = field(default_factory=dict)
+    shares: list[Share] = field(default_factory=list)
+    refuted: tuple[Share, ...] = ()
+    given_up: tuple[str, ...] = ()
+    share: float = 0.0
+    held_out: GapComparison | None = None
     kind: str = ""
     kind_leaves: float = math.inf
     in_free_run: tuple[float, float] | None = None
 
+    @cached_property
+    def train(self) -> GapComparison:
+        """Both models on the training records."""
+        return compare(self.outcome.baseline.problem, self.baseline.model, self.extended.model)
+
     @property
-    def training_is_quiet(self) -> bool:
-        """Whether the extended model leaves only noise on the training records."""
-        return self.train.gap.extended <= rules.QUIET * self.outcome.floor.force
-
-    def beside_something_unknown(self) -> Validation:
-        """The same findings with the verdict that something else is missing, as data not searched show."""
-        named = self.verdict in ("named", "ambiguous", "partly-named")
-        return replace(self, verdict="partly-named" if named else "unnamed")
-
-
-@dataclass(frozen=True)
-class _Answer:
-    """A preliminary answer; ``held_out`` compares its models on the confirming data, None if not done yet."""
-
-    verdict: str
-    baseline: Fit
-    extended: Fit
-    equivalents: dict[str, list[str]]
-    shares: list[Share]
-    refuted: tuple[Share, ...]
-    given_up: tuple[str, ...]
-    held_out: GapComparison | None
-    kind: str = ""
-    kind_leaves: float = math.inf
+    def confirmed(self) -> dict[str, dict[str, float] | None]:
+        """The share of each finding on the confirming data."""
+        return {share.name: share.confirmed for share in self.shares}
 
     @property
     def remaining_force(self) -> tuple[float, float]:
@@ -232,6 +216,28 @@ class _Answer:
         if self.held_out is None:
             return force_rms(self.baseline), force_rms(self.extended)
         return self.held_out.gap.baseline, self.held_out.gap.extended
+
+    @property
+    def training_is_quiet(self) -> bool:
+        """Whether the extended model leaves only noise on the training records."""
+        return self.train.gap.extended <= rules.QUIET * self.outcome.floor.force
+
+    @property
+    def names_something(self) -> bool:
+        """Whether an effect is named, and none has too many equivalents."""
+        many = any(len(others) > rules.MOST_EQUIVALENTS for others in self.equivalents.values())
+        return len(self.extended.model.names) > len(self.baseline.model.names) and not many
+
+    def compared(self, data: HeldOut | None) -> Validation:
+        """The same with the models compared on the confirming ``data``, where there are any."""
+        if data is None:
+            return self
+        return replace(self, held_out=compare_on(data, self.baseline.model, self.extended.model))
+
+    def beside_something_unknown(self) -> Validation:
+        """The same findings with the verdict that something else is missing, as data not searched show."""
+        named = self.verdict in ("named", "ambiguous", "partly-named")
+        return replace(self, verdict="partly-named" if named else "unnamed")
 
 
 def validate(outcome: Outcome, progress: Progress) -> Validation:
@@ -249,37 +255,21 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
         outcome = replace(finish_search(outcome, progress), of_a_kind=None)
     start = fit(outcome.baseline, part="used")
     searched = outcome.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
-    answer, share, left_over = _all_or_nothing(outcome, data, start, searched, force)
+    answer, left_over = _all_or_nothing(outcome, data, start, searched, force)
     if left_over or outcome.ended_early:
-        answer = _effect_by_effect(outcome, data, searched, answer, force)
+        answer = _effect_by_effect(data, searched, answer, force)
     in_free_run = _refuted_in_free_run(start, answer)
     if in_free_run is not None:
-        answer = replace(answer, verdict="unnamed", given_up=answer.extended.model.names)
+        answer = replace(answer, verdict="unnamed", given_up=answer.extended.model.names, in_free_run=in_free_run)
     if answer.verdict == "unnamed":
         estimate = robust(answer.baseline)
         answer = replace(answer, baseline=estimate, extended=estimate, shares=[], held_out=None)
-    baseline, extended, held_out = _alone(answer.baseline), centred(answer.extended), answer.held_out
-    if data is not None and (held_out is None or baseline is not answer.baseline or extended is not answer.extended):
-        held_out = compare_on(data, baseline.model, extended.model)
-    return Validation(
-        outcome=outcome,
-        verdict=answer.verdict,
-        baseline=baseline,
-        extended=extended,
-        equivalents=answer.equivalents,
-        train=compare(problem, baseline.model, extended.model),
-        held_out=held_out,
-        confirmed={effect_share.name: effect_share.confirmed for effect_share in answer.shares},
-        refuted=answer.refuted,
-        given_up=answer.given_up,
-        share=share,
-        kind=answer.kind,
-        kind_leaves=answer.kind_leaves,
-        in_free_run=in_free_run,
-    )
+    final = replace(answer, baseline=_alone(answer.baseline), extended=centred(answer.extended))
+    moved = final.baseline is not answer.baseline or final.extended is not answer.extended
+    return final.compared(data) if moved or final.held_out is None else final
 
 
-def _refuted_in_free_run(start: Fit, answer: _Answer) -> tuple[float, float] | None:
+def _refuted_in_free_run(start: Fit, answer: Validation) -> tuple[float, float] | None:
     """Velocity errors [m/s] of the baseline and the extended model driven by the command alone, where those refute it.
 
     A model that follows its record is judged by the force this takes, and an effect can replace another in that force
@@ -293,17 +283,17 @@ def _refuted_in_free_run(start: Fit, answer: _Answer) -> tuple[float, float] | N
         return None
     with suppress(SimulationError):
         before, after = start.free_run_error(), fit(answer.extended, "used").free_run_error()
-        return (before, after) if after > rules.FREE_RUN * before else None
+        return (before, after) if after > rules.CLOSE * before else None
     return None
 
 
 def _all_or_nothing(
     outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit, force: BesideUnknown | None
-) -> tuple[_Answer, float, bool]:
+) -> tuple[Validation, bool]:
     """The verdict on all effects of ``searched`` together, without those that the confirming ``data`` refute.
 
-    ``start`` is the baseline. Also returns the closed share of the gap, and whether so much is left, or explained by an
-    unknown ``force``, that each effect must stand on its own evidence.
+    ``start`` is the baseline. Also returns whether so much is left, or explained by an unknown ``force``, that each
+    effect must stand on its own evidence.
     """
     judge, floor, lost, extended = outcome.judge, outcome.floor.force, 0.0, searched
     shares: list[Share] = []
@@ -324,8 +314,8 @@ def _all_or_nothing(
     rivals = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
     verdict = _verdict(judge, extended, start, rivals, closed[-1], max(remaining))
     # A gap closed on the training record only is not explained; nor is one of which a good part was refuted.
-    forgotten = named and closed[-1] < rules.HELD * min(closed[0], 1.0)  # at most 1, where less than noise is left
-    doubtful = lost > rules.LOST and not judge.at_floor(extended)
+    forgotten = named and closed[-1] < rules.MOST * min(closed[0], 1.0)  # at most 1, where less than noise is left
+    doubtful = lost > rules.SLIGHT and not judge.at_floor(extended)
     nothing_yet = outcome.interrupted and not extended.model.names
     if nothing_yet or forgotten or doubtful:
         verdict = "unnamed"
@@ -333,37 +323,36 @@ def _all_or_nothing(
         verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
     open_gap = judge.leaves_unexplained(extended) and (
-        min(closed) < rules.COMPLETE or _explains(force, max(remaining), floor)
+        min(closed) < 1 - rules.EQUIVALENT or _explains(force, max(remaining), floor)
     )
     given_up = extended.model.names if verdict == "unnamed" and named else ()
-    answer = _Answer(verdict, start, extended, rivals, shares, refuted, given_up, held_out)
-    return answer, closed[-1], (failed or forgotten or open_gap) and not nothing_yet
+    answer = Validation(
+        outcome, verdict, start, extended, rivals, shares, refuted, given_up, share=closed[-1], held_out=held_out
+    )
+    return answer, (failed or forgotten or open_gap) and not nothing_yet
 
 
 def _explains(force: BesideUnknown | None, remaining: float, floor: float) -> bool:
     """Whether an unknown ``force`` with effects to name explains a good part of ``remaining`` [N]."""
-    return (
-        force is not None
-        and bool(force.names)
-        and explained(remaining, force.remaining_force, floor) >= rules.OF_A_KIND
-    )
+    return force is not None and bool(force.names) and explained(remaining, force.remaining_force, floor) >= rules.HALF
 
 
 def _effect_by_effect(
-    outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer, force: BesideUnknown | None
-) -> _Answer:
+    data: HeldOut | None, searched: Fit, answer: Validation, force: BesideUnknown | None
+) -> Validation:
     """The answer with the effects that stand on their own evidence, for models that leave structure.
 
     Beside an unknown ``force`` of one kind, where it and few effects leave next to nothing of the confirming ``data``
     too; without effects nothing is named. Otherwise effects of ``searched``, and those that stand beside any function
     of the state, where the model leaves less of these data than its baseline.
     """
+    outcome = answer.outcome
     if data is not None and force is not None and force.is_an_answer:
-        nothing = _Answer("partly-named", answer.baseline, answer.baseline, {}, [], (), (), None)
+        nothing = Validation(outcome, "partly-named", answer.baseline, answer.baseline, share=answer.share)
         answers = [_with(force, nothing, answer.baseline, data)] if force.names else []
     else:
-        answers = _beside_anything(outcome, data, searched, answer)
-    compared = [_compared(candidate, data) for candidate in answers if _sayable(candidate)]
+        answers = _beside_anything(data, searched, answer)
+    compared = [candidate.compared(data) for candidate in answers if candidate.names_something]
     tenable = [
         candidate
         for candidate in compared
@@ -373,14 +362,21 @@ def _effect_by_effect(
         return min(tenable, key=lambda candidate: candidate.remaining_force[1])
     given_up = answer.given_up or answer.extended.model.names
     floor, missed = outcome.floor.force, max(force_rms(answer.baseline), answer.remaining_force[0])
-    if force is not None and explained(missed, force.remaining_force, floor) >= rules.OF_A_KIND:
+    if force is not None and explained(missed, force.remaining_force, floor) >= rules.HALF:
         answer = replace(answer, kind=force.kind, kind_leaves=force.remaining_force)
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents if answers else {}, given_up=given_up)
 
 
-def _beside_anything(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> list[_Answer]:
+def _beside_anything(data: HeldOut | None, searched: Fit, answer: Validation) -> list[Validation]:
     """Answers of the effects of ``searched`` that stand alone, first with those found beside the state, if any."""
-    by_itself = partial(_by_itself, outcome, data, searched, answer)
+    outcome = answer.outcome
+
+    def by_itself() -> Validation:
+        stands, refuted = standing(data, searched)
+        shares = [] if data is None else claims_on(data, stands)
+        alike, baseline = alike_in_company(outcome, stands), robust(answer.baseline)
+        return Validation(outcome, "partly-named", baseline, stands, alike, shares, refuted, share=answer.share)
+
     if data is None:
         return [by_itself()]
     # The longest first, in this thread, where an interrupt arrives: it ends the search only.
@@ -390,16 +386,7 @@ def _beside_anything(outcome: Outcome, data: HeldOut | None, searched: Fit, answ
     return [own] if beside is None else [_with(beside, own, answer.baseline, data), own]
 
 
-def _by_itself(outcome: Outcome, data: HeldOut | None, searched: Fit, answer: _Answer) -> _Answer:
-    """``answer`` with those effects of ``searched`` that stand on their own evidence."""
-    stands, withdrawn = standing(data, searched)
-    shares = [] if data is None else claims_on(data, stands)
-    return _Answer(
-        "partly-named", robust(answer.baseline), stands, alike_in_company(outcome, stands), shares, withdrawn, (), None
-    )
-
-
-def _with(beside: BesideUnknown, answer: _Answer, baseline: Fit, data: HeldOut) -> _Answer:
+def _with(beside: BesideUnknown, answer: Validation, baseline: Fit, data: HeldOut) -> Validation:
     """``answer`` with the effects ``beside`` an unknown force, which replace those of the same name."""
     both, shares = joined(answer.extended, beside, data)
     own = [name for name in both.model.names if name not in beside.names]
@@ -413,19 +400,6 @@ def _with(beside: BesideUnknown, answer: _Answer, baseline: Fit, data: HeldOut) 
         shares=shares + beside.shares,
         refuted=tuple(share for share in answer.refuted if share.name not in beside.names),
     )
-
-
-def _sayable(answer: _Answer) -> bool:
-    """Whether ``answer`` names an effect, and none has too many equivalents."""
-    many = any(len(others) > rules.MOST_EQUIVALENTS for others in answer.equivalents.values())
-    return len(answer.extended.model.names) > len(answer.baseline.model.names) and not many
-
-
-def _compared(answer: _Answer, data: HeldOut | None) -> _Answer:
-    """``answer`` with its models compared on the confirming ``data``, where there are any."""
-    if data is None:
-        return answer
-    return replace(answer, held_out=compare_on(data, answer.baseline.model, answer.extended.model))
 
 
 def _alone(start: Fit) -> Fit:
@@ -450,7 +424,7 @@ def _verdict(
             if remaining > rules.QUIET * judge.floor.force:
                 return "unnamed"
             return "parameters-only" if wrong_numbers(best) else "nothing-missing"
-    elif not judge.at_floor(best) and share < rules.EXPLAINED:
+    elif not judge.at_floor(best) and share < rules.MOST:
         return "unnamed"
     if any(len(names) > rules.MOST_EQUIVALENTS for names in equivalents.values()):
         return "unnamed"
@@ -464,6 +438,6 @@ def wrong_numbers(fitted: Fit) -> list[int]:
         slot.place
         for slot in fitted.slots
         if slot.effect < 0
-        and abs(off[slot.place]) > rules.OFF_SURELY * fitted.std(-1, slot.place)
+        and abs(off[slot.place]) > rules.SURE * fitted.std(-1, slot.place)
         and abs(off[slot.place]) > rules.OFF * slot.magnitude
     ]

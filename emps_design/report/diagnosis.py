@@ -13,7 +13,7 @@ import numpy as np
 
 from emps_design.advice import advise
 from emps_design.axis import Axis, Mechanics
-from emps_design.discrepancy.residual_views import EVERYWHERE
+from emps_design.discrepancy.placement import EVERYWHERE
 from emps_design.discrepancy.view import diagnosis_view
 from emps_design.errors import EmpsError
 from emps_design.figures import Axes, Curve, Grid, thin

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from emps_design.discrepancy import beam_search, diagnose, rules, unknown_force, verdict
+from emps_design.discrepancy import beam_search, diagnose, rules, verdict
 from emps_design.discrepancy.confirmation import Share
 from emps_design.discrepancy.explanation import explain
 from emps_design.discrepancy.fit import evaluate, fit
@@ -200,7 +200,7 @@ def test_only_as_much_of_a_force_is_put_in_the_loop_as_leaves_less(monkeypatch):
     varies = KINDS[0][0][0]
     (whole,) = with_kind(start, varies).problem.acting
     for shares, acting in (((8.0, 0.5), 0.5 * whole), ((8.0,), None)):  # eight times as much is too much
-        monkeypatch.setattr(unknown_force, "SHARES", shares)
+        monkeypatch.setattr(rules, "LOOP_SHARES", shares)
         forces = with_kind(start, varies).problem.acting
         assert forces == () if acting is None else np.allclose(forces[0], acting)
 

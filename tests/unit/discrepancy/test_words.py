@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import preparation, unexplained
+from emps_design.discrepancy.placement import extent, where_document
 from emps_design.discrepancy.preparation import check_law, check_records
-from emps_design.discrepancy.residual_views import extent, views, where_document
+from emps_design.discrepancy.residual_views import views
 from emps_design.discrepancy.result import Finding
 from emps_design.discrepancy.unknown_force import MissingForce
 from emps_design.discrepancy.words import changed, filled, label_of, worded
