@@ -74,7 +74,7 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
 def _evenly(strokes: list[slice]) -> list[slice]:
     """``strokes`` thinned evenly, so that the regression of a long record stays small."""
     samples = sum(stroke.stop - stroke.start for stroke in strokes)
-    return strokes[:: max(1, -(-samples // rules.MOST_REGRESSED), -(-len(strokes) // rules.MOST_STROKES))]
+    return strokes[:: max(1, -(-samples // rules.MOST_REGRESSED))]
 
 
 def _unpredicted_by_others(

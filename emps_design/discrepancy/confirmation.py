@@ -279,7 +279,7 @@ def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
         ]
         begins = [rest, *(rest.with_effect(other, values) for other, values in others)]
         without, *rivals = side_by_side(
-            fit, [(Hypothesis(weighed, model), "used", None, rules.RIVAL_STEPS) for model in begins]
+            fit, [(Hypothesis(weighed, model), "used", None, 2 * rules.SHORT_STEPS) for model in begins]
         )
         margin = max(outcome.healthy.threshold, rules.EQUIVALENT * (without.cost - own.cost))
         alike = [rival for rival in rivals if admissible(rival) and rival.cost <= own.cost + margin]

@@ -371,7 +371,7 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
 def _reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Change (k,) of each of ``x`` (k,) alone that changes ``first``, the residual, by ``rules.TWICE`` costs."""
     reach, wanted = np.full(x.size, 1e-3), rules.TWICE * float(first @ first)
-    for _ in range(rules.SOUGHT):
+    for _ in range(rules.OFTEN):
         met = side_by_side(attempt, [(moved,) for moved in x + np.diag(reach)])
         changed = [np.inf if residual is None else float(np.sum((residual - first) ** 2)) for residual in met]
         reach = reach * np.clip(np.sqrt(wanted / np.maximum(changed, 1e-300)), 0.1, 10.0)

@@ -47,7 +47,7 @@ SLOWEST_PERIOD = FASTEST / CUTOFF_HZ  # s, longest for its filters
 NOISY = 0.03  # of an acceleration: largest encoder noise in the band of the motion
 
 # The controller's law
-BLOCK_TIME = 0.02  # s, of these means, and of those at first sight of a record
+BLOCK_TIME = 0.02  # s, over which its gap, and the missing force at first sight, are averaged
 
 # The clock of a command, in samples
 CLOCK_RANGE = 2  # looked for to either side: a longer shift is a delay of the drive
@@ -63,7 +63,6 @@ INTERVAL = (0.025, 0.975)  # quantiles
 NORMAL = 1.96  # standard deviations to either side that are such an interval
 RIDGES = tuple(10.0**power for power in range(-9, 1))  # of the mean square of a column; the best on held-out strokes
 MOST_REGRESSED = 60_000  # samples of whole strokes that tell the noise, evenly thinned where there are more
-MOST_STROKES = 100  # the same
 FINER = 0.95  # of the floor: a model that leaves less than this share shows that the floor was not all noise
 
 # What chance gains
@@ -82,16 +81,15 @@ COARSE_NUDGE = 5e-3  # the same of a fit where the fine one finds no descent and
 DAMPING = 1e-3  # of the diagonal of the normal equations, at first; the least is next to nothing
 TRIALS = 6  # of one step, with more and more damping
 CONVERGED = (1e-4, 0.1)  # gain of a step, as a share of the cost and absolute, below which a descent ends
-SHORT_STEPS = 4  # of a fit that only shows whether a longer one pays
+SHORT_STEPS = 4  # of a fit that only shows whether a longer one pays; twice that for a rival in a finding's place
 NOISES = 3  # draws of noise on the simulated carriage
 
 # A fit with play, which makes the cost rough
 SIMPLEX = 60  # simulations of the first descent
 SPAN = 0.3  # of the logarithm of each number, the first simplex
 SURFACES = 30  # at most, one after the other
-SOUGHT = 4  # times that edge is corrected before the first surface
 CLOSER = 0.6  # of the neighbourhood is the next one where a surface led no further
-OFTEN = 4  # surfaces, after which the next neighbourhood is closer in any case
+OFTEN = 4  # corrections of the first simplex; surfaces after which the next neighbourhood is closer in any case
 FARTHEST = 4.0  # neighbourhoods that a step may lead away
 IN_VAIN = 5  # surfaces one after the other that led no further, though not astray: there is nothing more to find
 ALIKE = 4.0  # times the deviation of the costs on a surface, up to which a place is as good as the best
@@ -99,12 +97,11 @@ ALIKE = 4.0  # times the deviation of the costs on a surface, up to which a plac
 # The search
 CORES = 2  # on which fits run side by side
 PATIENCE = 0.05  # s, within which a waiting thread handles an interrupt
-PROPOSERS = 3  # records whose missing force proposes parameters; more would only repeat them
 FEW = 2  # the best that go on to a longer fit: starts of an effect, effects, shapes; effects beside an unknown force
 FINALISTS = 4  # effects of a round, or shapes of an accepted effect, that are fitted in full
 BENT_STARTS = 6  # of an effect, fitted where the gap bent the baseline
 BEAM = (3, 2, 1)  # sets kept after the first round, the second, and any later one
-A_FEW = len(BEAM)  # effects after which one set is kept, a kind of force looked for, and a poor search given up
+A_FEW = len(BEAM)  # records that propose; effects after which a kind of force is looked for, a poor search given up
 MOST_EFFECTS = 7
 IN_TURN = 3  # times that two things are estimated in turn: noise and model, a force in the loop and numbers beside it
 BENT = 20.0  # whitened cost per sample beyond which missing physics may have bent the fitted baseline
@@ -120,17 +117,14 @@ WORTH_DESCRIBING = 0.002  # of the cost: gain that a further effect of the close
 WORTH = 0.01  # of the whitened cost that a finding must gain: half a percent of the residual force
 WORTH_AT_FLOOR = 0.03  # the same where only noise is left to explain
 CHANCE = 2.0  # standard deviations that chance may take: of a stroke's cost, of a force, of a difference in cost
+SURE = 3.0  # standard deviations of a difference that is none by chance
 BURST = 5.0  # standard deviations at which a sample's cost is capped
 STRUCTURED = 1.5  # whitened cost per sample beyond which a model leaves structure
 AT_FLOOR = 1.2  # whitened cost per sample up to which a model leaves nothing but noise
 
-# What words of a share mean, wherever a diagnosis is explained
-SURE = 3.0  # standard deviations of a difference that is none by chance; ``CHANCE`` may be
-
 # What the confirming record says
 HUBER = 1.345  # standard deviations beyond which the influence is constant: 95 % efficient for Gaussian noise
 ROBUST_STEPS = 20  # of each of these fits: it may end far from least squares
-RIVAL_STEPS = 8  # of the fit of a rival in a finding's place
 HALVINGS = 7  # by which the end of a range of equal instants is found: a hundredth of the last step
 
 # The verdict

@@ -153,7 +153,7 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
     own = np.array([p.per_record for p in effect.parameters])
     rows: list[np.ndarray] = []
     missed = [np.std(force) for force in problem.pick(tuple(gap.force for gap in missing), "used")]
-    for proposer in sorted(np.argsort(missed)[::-1][: rules.PROPOSERS]):
+    for proposer in sorted(np.argsort(missed)[::-1][: rules.A_FEW]):
         for index, shape in enumerate(tables[proposer]):
             if shape is None:
                 continue
