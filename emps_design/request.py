@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from typing import Any, ClassVar, ParamSpec, TypeVar, get_type_hints
 
 from emps_design.errors import InputError, nearest_name
 from emps_design.progress import Progress, no_progress
@@ -20,6 +20,17 @@ from emps_design.quantities import read_frequency, read_ratio
 from emps_design.units import LINEAR, Units
 
 OPTION = "option"  # the key of an Option in the metadata of a field
+
+# What a parameter of a type takes, in words; a text or None in its place is refused, other types are not looked at.
+KINDS = {
+    "Axis": "an Axis, such as load_axis(path)",
+    "Record": "a Record, such as read_record(path)",
+    "VelocityLoopDesign": "a VelocityLoopDesign",
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "True or False",
+    "None": "None",
+}
 
 # Declarations of an option that is a frequency or a ratio: option(None, "... [rad/s, or such as 30Hz]", **RAD_S).
 RAD_S: dict[str, Any] = {
@@ -231,6 +242,35 @@ def _read(entry: Field[Any], value: Any, axis: Any) -> Any:
 
 
 Answer = TypeVar("Answer")
+Parameters = ParamSpec("Parameters")
+
+
+def typed(function: Callable[Parameters, Answer]) -> Callable[Parameters, Answer]:
+    """Let ``function`` refuse texts and None in the place of numbers, axes and records, in one line.
+
+    >>> @typed
+    ... def half(length: "float") -> "float":
+    ...     return length / 2
+    >>> half("3 mm")
+    Traceback (most recent call last):
+        ...
+    emps_design.errors.InputError: `length`: found '3 mm', expected a number
+    """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Answer:
+        _refuse_other_kinds(signature, signature.bind(*arguments, **named).arguments)
+        return function(*arguments, **named)
+
+    return call
+
+
+def _refuse_other_kinds(signature: inspect.Signature, values: Mapping[str, Any]) -> None:
+    for name, value in values.items():
+        kinds = str(signature.parameters[name].annotation).split(" | ")
+        if set(kinds) <= KINDS.keys() and (isinstance(value, str | Path) or (value is None and "None" not in kinds)):
+            raise InputError(f"`{name}`: found {value!r}, expected {' or '.join(KINDS[kind] for kind in kinds)}")
 
 
 def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
@@ -256,12 +296,14 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
         before, after = _around_request(function)
         signature = _signature(kind, function)
         others = [entry.name for entry in _for_python(kind)]
+        read = {entry.name for entry in _declared_by(kind).read}
 
         @functools.wraps(function)
         def call(*arguments: Any, **named: Any) -> Answer:
             if len(arguments) == len(before) + 1 and isinstance(arguments[-1], kind):
                 return function(*arguments, **named)
             values = signature.bind(*arguments, **named).arguments
+            _refuse_other_kinds(signature, {name: value for name, value in values.items() if name not in read})
             passed = [values.pop(parameter.name, parameter.default) for parameter in before]
             own = {name: value for name in others if (value := values.pop(name, None)) is not None}
             more = {name: value for parameter in after for name, value in values.pop(parameter.name, {}).items()}

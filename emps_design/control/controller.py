@@ -69,6 +69,7 @@ from emps_design.control.view import number, worst_in_words
 from emps_design.laws import LawTable, get_law, law_of, table_of
 from emps_design.laws.linear import LinearLaw, linear_law
 from emps_design.messages import Message
+from emps_design.request import typed
 from emps_design.view import Line, Table, View, Viewed
 
 LOOPS = ("velocity", "position", "whole")
@@ -249,6 +250,7 @@ def _plain(loops: Loops) -> dict[str, Any]:
     return {name: None if loop is None else loop.to_dict() for name, loop in loops.items()}
 
 
+@typed
 def controller_margins(
     axis: Axis, mismatch: float | None = None, load: LoadRange | None = None, velocity: float = 0.1
 ) -> ControllerMargins:

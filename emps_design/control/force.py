@@ -44,6 +44,7 @@ from emps_design.control.velocity.specification import closed_form_in_words
 from emps_design.control.view import force_view
 from emps_design.errors import InputError
 from emps_design.messages import Message, grave, note, warning
+from emps_design.request import typed
 from emps_design.view import View, Viewed
 
 if TYPE_CHECKING:
@@ -380,6 +381,7 @@ class ForceLoopDesign(Viewed):
         return force_view(self.to_dict(), self.velocity_loop.axis.units)
 
 
+@typed
 def design_force_loop(
     velocity_loop: VelocityLoopDesign,
     k_e1: float,

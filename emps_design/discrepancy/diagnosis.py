@@ -18,7 +18,7 @@ from emps_design.discrepancy.result import Diagnosis
 from emps_design.discrepancy.starts import at_first_sight, suspects_text
 from emps_design.discrepancy.verdict import Validation, validate
 from emps_design.effects import known_effects
-from emps_design.errors import EmpsError, RecordError, SimulationError
+from emps_design.errors import EmpsError, InputError, RecordError, SimulationError
 from emps_design.laws import NONE
 from emps_design.messages import warning
 from emps_design.progress import Progress, of_part
@@ -67,6 +67,8 @@ def diagnose(request: DiagnosisRequest) -> Diagnosis:
 
 def _complete(request: DiagnosisRequest) -> DiagnosisRequest:
     """``request`` with a library, and progress that never decreases."""
+    if not request.records:
+        raise InputError("`records`: found none, expected at least one")
     library = known_effects().values() if request.library is None else request.library
     return replace(request, library=tuple(library), progress=_forward(request.progress))
 

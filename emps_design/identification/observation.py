@@ -37,6 +37,7 @@ from emps_design.observer import (
 from emps_design.progress import Progress, no_progress, of_part
 from emps_design.quantities import rounded
 from emps_design.records import Record
+from emps_design.request import typed
 from emps_design.units import Units
 from emps_design.view import Line, Table, View, Viewed
 
@@ -213,6 +214,7 @@ class Observation(Viewed):
         )
 
 
+@typed
 def observe(
     record: Record,
     axis: Axis,

@@ -33,6 +33,7 @@ from emps_design.records.check import AT_LIMIT
 from emps_design.records.clock import same_period
 from emps_design.records.layout import Layout
 from emps_design.records.record import quantisation_step
+from emps_design.request import typed
 
 START_UP = 0.1  # s, after which the state of the law before the first sample no longer matters
 FEWEST_AT_START = 8  # samples
@@ -450,6 +451,7 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
     return replace(record, warnings=(*record.warnings, *contradictions), contradictions=contradictions)
 
 
+@typed
 def import_record(
     path: str | Path, axis: Axis, resample: bool = False, window: tuple[float, float] | None = None
 ) -> Record:

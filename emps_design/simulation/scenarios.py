@@ -23,6 +23,7 @@ from emps_design.observer import motor_force
 from emps_design.records import Record
 from emps_design.records.check import LONGEST
 from emps_design.records.columns import PLAIN
+from emps_design.request import typed
 from emps_design.simulation.plant import Plant
 from emps_design.simulation.run import EVENTS, Run, driven_by
 from emps_design.simulation.synthetic import check_positive
@@ -191,6 +192,7 @@ def _digits(value: float | None, factor: float) -> str | None:
     return None if value is None or not math.isfinite(value) else f"{factor * value:.6g}"
 
 
+@typed
 def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     """Simulate ``axis`` along ``record`` and compare.
 

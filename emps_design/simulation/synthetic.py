@@ -28,6 +28,7 @@ from emps_design.records.clock import SHORTEST_PERIOD
 from emps_design.records.columns import PLAIN, read_title
 from emps_design.records.layout import Layout
 from emps_design.records.tables import read_plain_table
+from emps_design.request import typed
 from emps_design.simulation.plant import Plant
 from emps_design.units import Units
 
@@ -37,6 +38,7 @@ SPEEDS = (1.0, 0.5, 0.25)  # of the highest speed
 MAX_BYTES = 100_000_000  # of a file
 
 
+@typed
 def trapezoid_laps(
     period: float, stroke: float = 0.24, speed: float = 0.2, acceleration: float = 1.0, laps: int = 3
 ) -> np.ndarray:
@@ -206,6 +208,7 @@ def reference_from_bytes(
     return np.interp(grid, t, named["q_ref"]), force, excitation
 
 
+@typed
 def synthetic_record(
     axis: Axis,
     seed: int = 0,

@@ -43,6 +43,7 @@ from emps_design.laws.library.impedance import (
     observed_force,
 )
 from emps_design.messages import Message, grave, warning
+from emps_design.request import typed
 
 DERIVED, PRINTED = 1.0, 2.0  # factor in front of (Mh/M_a - 1) G_tau_i I_m in (30)
 SINGULAR = 1e-9  # 1 + kappa (Mh/M_a - 1), below which the law has no solution with an ideal current loop
@@ -200,6 +201,7 @@ class ImpedanceLaw:
         }
 
 
+@typed
 def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None = None, **options: Any) -> ImpedanceLaw:
     """Return the law for ``axis`` with the axis's own parameters as estimates.
 

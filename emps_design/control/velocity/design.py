@@ -55,6 +55,7 @@ from emps_design.laws.estimators import estimator_response, polynomials
 from emps_design.laws.library import cascade
 from emps_design.laws.library.cascade import Filter, filter_polynomials
 from emps_design.messages import Message, note
+from emps_design.request import typed
 from emps_design.view import View, Viewed
 
 if TYPE_CHECKING:
@@ -459,6 +460,7 @@ class VelocityLoopDesign(Viewed):
         return velocity_loop_view(self.to_dict(), self.axis.units)
 
 
+@typed
 def design_velocity_loop(
     axis: Axis,
     crossover: float | None = None,

@@ -35,6 +35,7 @@ from emps_design.control.velocity.specification import (
 )
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
+from emps_design.request import typed
 
 RETUNE_GRID = 240  # crossovers tried for one bandwidth, at equal ratios
 BANDWIDTH_CLOSE = 1.0 + 2.8e-11  # ratio of two bandwidths that are alike
@@ -97,6 +98,7 @@ def retuned_gains(
         return np.where(works, k_v1, np.nan), np.where(works, k_v1 / integral, np.nan)
 
 
+@typed
 def retune_velocity_loop(
     axis: Axis,
     crossover: float | None = None,
