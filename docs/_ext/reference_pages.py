@@ -9,11 +9,11 @@ from pathlib import Path
 ROOMS = {
     "records": "Records",
     "axis": "Axis",
+    "tables": "Tables of an axis file",
     "machines": "Machines",
     "importing": "Exports of drives",
     "effects": "What an effect is",
     "laws": "Control laws",
-    "model": "Model",
     "observer": "Observer",
     "control": "Control",
     "simulation": "Simulation",
@@ -30,6 +30,7 @@ ROOMS = {
     "files": "Files",
     "request": "Requests",
     "view": "Views",
+    "figures": "Figures",
     "errors": "Errors",
 }
 # One page of the catalogue for each effect; the reference has what they share.

@@ -91,3 +91,9 @@ def test_benchmarks_import_what_is_there():
         if not hasattr(importlib.import_module(module), name) and not find_spec(f"{module}.{name}")
     ]
     assert missing == []
+
+
+def test_every_room_of_the_reference_is_there(monkeypatch):
+    monkeypatch.syspath_prepend(str(REPOSITORY / "docs" / "_ext"))
+    for room in importlib.import_module("reference_pages").ROOMS:
+        assert find_spec(f"emps_design.{room}"), room
