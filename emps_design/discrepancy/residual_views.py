@@ -124,15 +124,14 @@ def _binned(
     noise: float,
     bins: int,
     title: str = "",
-    fewest: int = 5,
 ) -> View:
-    """The means of a pair of forces in ``bins`` of ``x`` on the samples ``kept``, in bins with more than ``fewest``."""
+    """The means of a pair of forces in ``bins`` of ``x`` on the samples ``kept``, in bins with more than five."""
     edges = np.linspace(float(x[kept].min()), float(x[kept].max()) + 1e-12, bins + 1)
     place = np.clip(np.digitize(x[kept], edges) - 1, 0, bins - 1)
     count = np.bincount(place, minlength=bins)
-    thick = np.maximum(count, 1)
-    before, after = (np.where(count > fewest, np.bincount(place, f[kept], bins) / thick, np.nan) for f in pairs)
-    band = np.where(count > fewest, 2 * noise / np.sqrt(thick), np.nan)
+    thick = np.where(count > 5, count, np.nan)
+    before, after = (np.bincount(place, f[kept], bins) / thick for f in pairs)
+    band = 2 * noise / np.sqrt(thick)
     return View(quantity, unit, 0.5 * (edges[1:] + edges[:-1]), before, after, band=band, title=title)
 
 

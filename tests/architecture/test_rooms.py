@@ -54,6 +54,19 @@ def test_public_things_have_a_docstring():
     assert [name for module in MODULES for name in undocumented(module)] == []
 
 
+def test_no_function_has_more_than_eight_parameters():
+    """But what is compiled: kernels, the rates of effects, and the equation of a law."""
+    compiled = {"cached()", "cached(contract=True)", "part", "inlined", "fused", "fused_inlined", "intrinsic"}
+    many = []
+    for module in MODULES:
+        for node in ast.walk(tree(module)):
+            if isinstance(node, ast.FunctionDef) and not compiled & set(map(ast.unparse, node.decorator_list)):
+                arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                if len({entry.arg for entry in arguments} - {"self", "cls"}) > 8:
+                    many.append((module.parts[-2], node.name))
+    assert set(many) <= {("library", "rate"), ("library", "demanded_force")}
+
+
 def test_no_two_classes_share_a_name():
     """One concept, one name; the file of a law calls its own parameters ``Table``."""
     classes = defaultdict(list)
