@@ -59,7 +59,7 @@ def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent():
     """
     hidden = {"kind": "backlash", "gap": 8e-5, "frequency": 57.0, "damping": 0.15, "share": 0.32}
     judged, model = problem([hidden], seed=3), Candidate(AXIS.mechanics.array())
-    begins = np.array([(1e-4, 60.0, 0.15, 0.4, 0.0), (2e-4, 45.0, 0.15, 0.4, 0.0)])
+    begins = np.array([(gap, frequency, 0.15, 0.4, 0.0) for gap, frequency in ((1e-4, 60), (3e-4, 40))])
     ends = [fit(Hypothesis(judged, model.with_effect(get_effect("backlash"), begin))) for begin in begins]
     samples = judged.samples("fit")
     assert max(end.cost_fit for end in ends) > 3.0 * samples

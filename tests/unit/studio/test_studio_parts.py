@@ -391,8 +391,7 @@ def test_a_law_that_diverges_is_shown_as_unstable():
 @pytest.mark.study("whole reports")
 def test_the_report_is_about_the_state(sketched):
     text = files_view.report_html(state(mass=80.0, damping=150.0, filter=400.0))
-    assert "80.00 kg" in text
-    assert "150.0 N/(m/s)" in text
+    assert '<th>derived</th><td class="number">80</td><td class="number">150</td>' in text
 
 
 @pytest.mark.study("a whole report, twice")
@@ -672,13 +671,13 @@ def test_the_model_that_follows_most_closely_is_designed_on_where_it_is_sought(a
     view._show(record)
     view._start("Diagnose")
     assert view.model.mechanics == answer.axis.mechanics
-    assert "It follows." not in view.result.object
+    assert "Closest model: it follows" not in view.result.object
     view._work = "Diagnose"  # as it is once a job has begun
     view.sought.value = CLOSEST_MODEL
     assert view.model is None  # of the other choice
     view._start("Diagnose")
     assert view.model.mechanics.mass == 91.0
-    assert "It follows." in view.result.object
+    assert "Closest model: it follows" in view.result.object
     assert asked == [False, True]
 
 
@@ -779,8 +778,10 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     view._start()
     found, best = view.compensation, view.compensation.achieved
     assert "position_ripple" in found.feedforward.terms
-    assert f"{found.without:.3g} m without, {best:.3g} with" in view.message.object
-    assert "keep kv below" in view.message.object
+    errors = {"without feed-forward": found.without, "with all that is kept": best}
+    for label, rms in errors.items():
+        assert f'<th>{label}</th><td class="number">{rms:.4g}</td><td>m</td>' in view.table.object
+    assert "keep kv below" in view.table.object
     assert "<svg" in view.picture.object
     with zipfile.ZipFile(view._folder()) as folder:
         folder.extractall(tmp_path)
