@@ -249,7 +249,7 @@ def typed(function: Callable[Parameters, Answer]) -> Callable[Parameters, Answer
     """Let ``function`` refuse texts and None in the place of numbers, axes and records, in one line.
 
     >>> @typed
-    ... def half(length: "float") -> "float":
+    ... def half(length: float) -> float:
     ...     return length / 2
     >>> half("3 mm")
     Traceback (most recent call last):

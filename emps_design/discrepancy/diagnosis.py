@@ -68,7 +68,7 @@ def diagnose(request: DiagnosisRequest) -> Diagnosis:
 def _complete(request: DiagnosisRequest) -> DiagnosisRequest:
     """``request`` with a library, and progress that never decreases."""
     if not request.records:
-        raise InputError("`records`: found none, expected at least one")
+        raise InputError("records: found none, expected at least one")
     library = known_effects().values() if request.library is None else request.library
     return replace(request, library=tuple(library), progress=_forward(request.progress))
 

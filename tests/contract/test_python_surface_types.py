@@ -27,5 +27,5 @@ def test_a_text_is_no_number(name):
 
 
 def test_no_record_is_refused():
-    with pytest.raises(EmpsError, match="`records`: found none, expected at least one"):
+    with pytest.raises(EmpsError, match="records: found none, expected at least one"):
         diagnose([], machine("emps2019"))
