@@ -233,7 +233,7 @@ class LivePlot:
     """A figure that shows :class:`~emps_design.figures.Axes`; showing others changes its data only.
 
     Its own ``y_range`` and ``ticks`` hold whatever it shows, so that the eye keeps its scale while a control turns.
-    The names of levels are left out: there is no room.
+    The names of levels, and the marks along a line, are left out: there is no room, and they would take time.
     """
 
     def __init__(
@@ -287,13 +287,14 @@ class LivePlot:
                 if part.label:
                     named.append((part.label, kind, len(parts[kind])))
                 parts["lines"] += [part] if part.line else []
-                parts["marks"] += part.points if part.mark else []
+                parts["marks"] += part.points if part.mark and not part.line else []
             else:
                 kind = {Area: "areas", Band: "bands", Level: "levels", Remark: "remarks"}[type(part)]
                 parts[f"{kind} {part.axis}" if isinstance(part, Band | Level) else kind].append(part)
         for name, source in self.sources.items():
-            if parts[name] or len(next(iter(source.data.values()))):
-                source.data = {column: [_value(part, column) for part in parts[name]] for column in source.data}
+            data = {column: [_value(part, column) for part in parts[name]] for column in source.data}
+            if name in ("areas", "lines") or data != source.data:  # what has no arrays is seldom new
+                source.data = data
         self._name(named if axes.legend else [], axes.legend)
         self.plot.xaxis.axis_label, self.plot.yaxis.axis_label = axes.x, axes.y
         self.remark.text = axes.remark
