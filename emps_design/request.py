@@ -257,19 +257,26 @@ def typed(function: Callable[Parameters, Answer]) -> Callable[Parameters, Answer
     emps_design.errors.InputError: `length`: found '3 mm', expected a number
     """
     signature = inspect.signature(function)
+    plain = _plain(signature)
 
     @functools.wraps(function)
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Answer:
-        _refuse_other_kinds(signature, signature.bind(*arguments, **named).arguments)
+        _refuse_other_kinds(plain, signature.bind(*arguments, **named).arguments)
         return function(*arguments, **named)
 
     return call
 
 
-def _refuse_other_kinds(signature: inspect.Signature, values: Mapping[str, Any]) -> None:
+def _plain(signature: inspect.Signature) -> dict[str, list[str]]:
+    """The parameters that take nothing but what ``KINDS`` names, and what each takes."""
+    kinds = {name: str(each.annotation).split(" | ") for name, each in signature.parameters.items()}
+    return {name: own for name, own in kinds.items() if set(own) <= KINDS.keys()}
+
+
+def _refuse_other_kinds(plain: Mapping[str, list[str]], values: Mapping[str, Any]) -> None:
     for name, value in values.items():
-        kinds = str(signature.parameters[name].annotation).split(" | ")
-        if set(kinds) <= KINDS.keys() and (isinstance(value, str | Path) or (value is None and "None" not in kinds)):
+        kinds = plain.get(name)
+        if kinds and (isinstance(value, str | Path) or (value is None and "None" not in kinds)):
             raise InputError(f"`{name}`: found {value!r}, expected {' or '.join(KINDS[kind] for kind in kinds)}")
 
 
@@ -297,13 +304,14 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
         signature = _signature(kind, function)
         others = [entry.name for entry in _for_python(kind)]
         read = {entry.name for entry in _declared_by(kind).read}
+        plain = {name: kinds for name, kinds in _plain(signature).items() if name not in read}
 
         @functools.wraps(function)
         def call(*arguments: Any, **named: Any) -> Answer:
             if len(arguments) == len(before) + 1 and isinstance(arguments[-1], kind):
                 return function(*arguments, **named)
             values = signature.bind(*arguments, **named).arguments
-            _refuse_other_kinds(signature, {name: value for name, value in values.items() if name not in read})
+            _refuse_other_kinds(plain, values)
             passed = [values.pop(parameter.name, parameter.default) for parameter in before]
             own = {name: value for name in others if (value := values.pop(name, None)) is not None}
             more = {name: value for parameter in after for name, value in values.pop(parameter.name, {}).items()}

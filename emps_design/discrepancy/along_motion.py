@@ -310,7 +310,8 @@ def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, An
 def _warnings(outcome: BalanceResult) -> list[Message]:
     fitted, late = outcome.extended, outcome.balance.clock.samples
     remarks = [*outcome.warnings]
-    if abs(late) > rules.HALF:
+    # Sampled values and means differ by half a sample; a quarter more is beyond what a record resolves.
+    if abs(late) > rules.HALF + rules.QUARTER:
         text = (
             f"the command was logged {abs(late):.2g} samples {'after' if late > 0 else 'before'} what the motion "
             "answers to, and is moved by that: less than two samples tell a drive that is late from none of the log's"
