@@ -80,7 +80,9 @@ def with_acting_command(axis: Axis, record: Record) -> tuple[Record, Axis]:
     The voltage includes the supply of a duty and the motor switch.
     """
     voltage, driven = acting_voltage(axis.replace(sampling={"period": record.period}), record.u)
-    return replace(record, u=voltage * motor_share(axis, record)), driven
+    share = motor_share(axis, record)
+    acts_as_recorded = voltage is record.u and isinstance(share, float) and share == 1.0
+    return record if acts_as_recorded else replace(record, u=voltage * share), driven
 
 
 def as_driven(axis: Axis, record: Record) -> tuple[Record, Axis]:

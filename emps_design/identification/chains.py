@@ -350,10 +350,11 @@ def hold_chain(
     def reduce(column: np.ndarray) -> np.ndarray:
         return column[rows]
 
+    away = away_from(at_rest(record), cutoff_hz, record.period)  # before the motion is made, to save memory
     force = reduce(held_force(record, force_gain, cutoff_hz)).copy()
     f_ext = None if record.f_ext is None else reduce(low_pass(record.f_ext, cutoff_hz, record.period)).copy()
     filtered_motion = replace(motion(record, cutoff_hz), force_gain=force_gain)
-    used = reduce(away_from(at_rest(record), cutoff_hz, record.period) & known(record, filtered_motion.a, cutoff_hz))
+    used = reduce(away & known(record, filtered_motion.a, cutoff_hz))
     if int(used.sum()) < fewest_rows:
         raise RecordError(
             f"{record.name}: {int(used.sum())} rows away from rest at a cut-off of {cutoff_hz:g} Hz, expected at least "

@@ -137,7 +137,7 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
         q=q,
         v=v,
         a=a,
-        tau=np.zeros(len(q)),  # unlike zeros_like, takes no memory until it is written
+        tau=np.broadcast_to(0.0, len(q)),  # takes no memory
         period=record.period,
         smooth=smooth,
     )

@@ -39,9 +39,9 @@ def test_judge(truth, verdict, findings, result, exact):
 
 def test_an_answer_that_comes_too_late_is_wrong_and_has_its_row(tmp_path):
     (tmp_path / "truth.json").write_text('{"effects": ["backlash"]}')
-    late = score(tmp_path, timeout=0.2)  # an interpreter takes longer to start
+    late = score(tmp_path, timeout=0.0)  # no process is that fast
     assert (late.result, late.named) == ("wrong", ())
-    assert late.note == "no answer within 0.2 s"
+    assert late.note == "no answer within 0 s"
     page = table([late], 0, "several", True, False)
     assert late.note in page
     assert str(tmp_path) not in page
