@@ -69,6 +69,7 @@ from emps_design.simulation.kernels.motion import (
     LAG,
     LIMIT,
     LINEAR,
+    MEMORY,
     MOBILITY,
     PERIOD,
     RESOLUTION,
@@ -91,7 +92,7 @@ from emps_design.simulation.kernels.motion import (
     total,
     turning,
 )
-from emps_design.simulation.kernels.smooth_period import SPEEDS, begin, feeling, slide
+from emps_design.simulation.kernels.smooth_period import SPEEDS, begin, feeling, settle, slide
 from emps_design.units import Units
 
 DONE, DIVERGED, NO_STEP, CHATTER = range(4)  # status of :func:`carry`
@@ -125,7 +126,7 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
         starts[GUARD + 1] - starts[GUARD],
         starts[GUARD],
     )
-    done, happened, walked = 0.0, 0, 0.0
+    done, happened, walked, remembers = 0.0, 0, 0.0, starts[MEMORY + 1] > starts[MEMORY]
     if not free and y[1] == 0.0:  # the command has changed: at rest still?
         direction = held(y, clipped(t, bounds), tau, push, plant)
         if direction != s:
@@ -195,6 +196,8 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
             y[i] = new[i]
             largest[i] = max(largest[i], abs(new[i]))
         done += h
+        if remembers and y[1] != 0.0:
+            settle(y, clipped(t + done, bounds), tau, plant, work)
         if event >= 0:
             happened += 1
             if happened > 2000:

@@ -29,7 +29,7 @@ DRIVE = 7  # numbers of ``drive``
 
 ORDER = 4  # of convergence, measured in the tests
 # Error tolerance of one step in position [m], velocity [m/s], and relative to the largest value of an own state.
-_POSITION, _VELOCITY, _OWN = 2e-11, 2e-9, 2e-8
+_POSITION, _VELOCITY, OWN = 2e-11, 2e-9, 2e-8
 _ROUGH = 0.5  # of the tolerance, below which a rough error estimate is enough
 INSTANT = 1e-15  # s, shortest remainder of a period that is stepped
 NUDGE = 1e-300  # m/s, a velocity that gives a direction and nothing else
@@ -170,7 +170,7 @@ def worse(error, wrong, i, new, largest):
     elif i == 1:
         scale = _VELOCITY
     else:
-        scale = _OWN * max(largest[i], abs(new[i])) + 1e-300
+        scale = OWN * max(largest[i], abs(new[i])) + 1e-300
     return max(error, wrong / scale) if wrong == wrong else np.inf
 
 

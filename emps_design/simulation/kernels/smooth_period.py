@@ -19,11 +19,13 @@ from emps_design.simulation.kernels.motion import (
     FREE,
     LAG,
     MEMORY,
+    OWN,
     RATE,
     STATES,
     TOLERANCE,
     balance,
     dry,
+    motor,
     pull,
     total,
     weigh,
@@ -108,6 +110,25 @@ def tends(i, y, t, acting, level, s, plant, rate):
     call_rate(hook, y[0], s, t, acting, y, x_at, p, p_at, plant[0], level, rate)
     per = s * (rate[x_at] - first)
     return first / per, 1.0 / per
+
+
+@fused
+def settle(y, t, tau, plant, work):
+    """Put every memory on its end value where that is within the tolerance of a step.
+
+    From there on it does not change under a constant level. Beside it an explicit step would be limited by stability to
+    a few travel constants for ever, which at speed is a thousandth of a period.
+    """
+    hooks, starts, settings, rate, s = plant[1], plant[2], plant[4], work[3], math.copysign(1.0, y[1])
+    acting = motor(t, tau, plant) - settings[BRAKING] * y[1]
+    level = dry(y, t, acting, plant)
+    for k in range(starts[MEMORY], starts[MEMORY + 1]):
+        for i in range(starts[RATE], starts[RATE + 1]):
+            at = hooks[3 * i + 1]
+            if at == hooks[3 * k + 1]:
+                x = y[at]
+                end = tends(i, y, t, acting, level, s, plant, rate)[0]
+                y[at] = end if abs(end - x) <= OWN * settings[TOLERANCE] * abs(end) else x
 
 
 @fused
