@@ -135,6 +135,15 @@ class Units:
         return self.motion == "rotary"
 
     @property
+    def farthest(self) -> float:
+        """Largest position [m] and speed [m/s] of a bounded motion; rad and rad/s of a rotary axis, which may turn on.
+
+        >>> Units().farthest, Units("rotary").farthest
+        (1000.0, 1000000.0)
+        """
+        return 1e6 if self.rotary else 1e3
+
+    @property
     def plain(self) -> bool:
         """Whether no translation is needed: a linear axis with a voltage command in V."""
         return not self.rotary and self.command == "voltage" and self.command_unit == "V"

@@ -296,7 +296,7 @@ class Course:
         period, drive = axis.sampling.period, axis.drive
         resolution = axis.sampling.encoder_resolution if self.quantise else 0.0
         gains = law_of(axis, period).gains
-        numbers = core.numbers_of(period, drive.gain, drive.command_limit, resolution, gains)
+        numbers = core.numbers_of(axis, period, resolution, gains)
         push = nothing if self.disturbance is None else self.disturbance
         result = np.empty((len(padded), len(METRICS)))
         core.run_lanes(

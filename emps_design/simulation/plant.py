@@ -372,7 +372,7 @@ class Plant:
         reference, push, period, start = inputs.reference, inputs.push, inputs.period, (inputs.q0, inputs.v0)
         b = inputs.baseline + np.array([0.0, drive.braking, 0.0, 0.0])
         position, velocity, u, encoder = np.empty((4, n))
-        numbers = core.numbers_of(period, drive.gain, drive.command_limit, inputs.resolution, inputs.law.gains)
+        numbers = core.numbers_of(self.axis, period, inputs.resolution, inputs.law.gains)
         if method == "plain":
             good = core.run_plain(
                 b, numbers, delay, start, reference, push, inputs.noise, position, encoder, velocity, u, events, tally
@@ -380,8 +380,9 @@ class Plant:
         else:
             good = core.run_folded(b, numbers, start, reference, push, position, velocity, u, events, tally)
             encoder = position
-        if good == n and not abs(position[-1]) < 1e3:
-            good = int(np.argmin(np.abs(position) < 1e3))
+        farthest = self.axis.units.farthest
+        if good == n and not abs(position[-1]) < farthest:
+            good = int(np.argmin(np.abs(position) < farthest))
         if good < n:
             at, reason = (good, stepper.DIVERGED) if good >= 0 else (-good - 1, stepper.RUNAWAY)
             why = stepper.reason_of(reason, self.axis.units)
@@ -397,7 +398,7 @@ class Plant:
         settings[motion.LIMIT], settings[motion.RESOLUTION] = drive.command_limit, inputs.resolution
         settings[motion.DELAYED] = self.axis.sampling.computation_delay
         settings[motion.LAG], settings[motion.BEHIND] = self._lags(b, p, q0, v0)
-        settings[motion.BRAKING] = drive.braking
+        settings[motion.BRAKING], settings[motion.FARTHEST] = drive.braking, self.axis.units.farthest
         settings[motion.VISCOUS_P] = settings[motion.VISCOUS_N] = b[1] + drive.braking
         settings[motion.LEVEL], settings[motion.MASS] = b[2], b[0]
         for i, effect in enumerate(self.effects):

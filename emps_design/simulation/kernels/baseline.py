@@ -11,13 +11,14 @@ import math
 
 import numpy as np
 
+from emps_design.axis import Axis
 from emps_design.simulation.kernels.compile import cached, part, pointer
 from emps_design.simulation.kernels.friction_period import follow, response
 from emps_design.simulation.kernels.lanes import LANES, row, step, step_again
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)
 # Places in ``numbers``.
-PERIOD, GAIN, LIMIT, RESOLUTION, PROPORTIONAL, DAMPING, TWO_TAP = range(7)
+PERIOD, GAIN, LIMIT, RESOLUTION, PROPORTIONAL, DAMPING, TWO_TAP, FARTHEST = range(8)
 SWINGS = 40.0  # swings of the voltage from limit to limit that make a loop unstable
 
 ROWS = 23
@@ -92,7 +93,7 @@ def run_plain(b, numbers, delay, start, reference, push, noise, position, encode
         elif abs(net) <= dry:
             continue
         q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, tally_)
-        if not abs(q) < 1e3:
+        if not abs(q) < numbers[FARTHEST]:
             return k
     return reference.size
 
@@ -158,14 +159,15 @@ def run_folded(b, numbers, start, reference, push, position, velocity, u, events
             continue
         q, v, _ = follow(q, v, 0.0, net + offset, 0.0, period, friction, k * period, events_, tally_)
         k += 1
-        if not abs(q) < 1e3:
+        if not abs(q) < numbers[FARTHEST]:
             return k - 1
     return n
 
 
-def numbers_of(period: float, gain: float, limit: float, resolution: float, gains: np.ndarray) -> np.ndarray:
+def numbers_of(axis: Axis, period: float, resolution: float, gains: np.ndarray) -> np.ndarray:
     """The array ``numbers`` of the runs, from the axis and the gains of ``position_pd``."""
-    return np.array([period, gain, limit, resolution, gains[0], gains[1], gains[3]])
+    drive, farthest = axis.drive, axis.units.farthest
+    return np.array([period, drive.gain, drive.command_limit, resolution, gains[0], gains[1], gains[3], farthest])
 
 
 @cached()
@@ -184,7 +186,7 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
     mass, viscous, coulomb_p, coulomb_n = row(rows, 14), row(rows, 15), row(rows, 16), row(rows, 17)
     tracked, missed, voltage, peak, rest = row(rows, 18), row(rows, 19), row(rows, 20), row(rows, 21), row(rows, 22)
     period, limit, gain, resolution = numbers[PERIOD], numbers[LIMIT], numbers[GAIN], numbers[RESOLUTION]
-    proportional, two_tap = numbers[PROPORTIONAL], numbers[TWO_TAP]
+    proportional, two_tap, farthest = numbers[PROPORTIONAL], numbers[TWO_TAP], numbers[FARTHEST]
     damping = numbers[DAMPING] / period * (0.5 if two_tap > 0.0 else 1.0)
     pushed, compared = push.size > 0, measured_q.size > 0
     now, after = (q, v, command), (q1, v1, command)  # an ideal current loop: the command is the motor force
@@ -224,7 +226,7 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
                 events += step(i, now, after, command, pushes, period, factors, factors, friction, stops)
             if events > 0:
                 for i in range(LANES):
-                    lost[i] = 0.0 if peak[i] < limit and abs(q[i]) < 1e3 else 1.0
+                    lost[i] = 0.0 if peak[i] < limit and abs(q[i]) < farthest else 1.0
                 t = k * period
                 step_again(now, after, command, pushes, period, factors, factors, friction, t, stops, lost, nothing)
             for i in range(LANES):
@@ -233,5 +235,5 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
             result[block + i, 0] = tracked[i]
             result[block + i, 1] = missed[i] if compared else 0.0
             result[block + i, 2] = voltage[i] if compared else 0.0
-            result[block + i, 3] = peak[i] if peak[i] < limit and abs(q[i]) < 1e3 else np.nan
+            result[block + i, 3] = peak[i] if peak[i] < limit and abs(q[i]) < farthest else np.nan
             result[block + i, 4] = rest[i]

@@ -59,6 +59,7 @@ from emps_design.simulation.kernels.motion import (
     DRIVE,
     ERROR_ALONE,
     EXACT,
+    FARTHEST,
     FREE,
     GAIN,
     GUARD,
@@ -104,7 +105,7 @@ _APART = 5e-10  # s, how far from a jump in time its two sides are evaluated; ab
 
 def reason_of(status: int, units: Units) -> str:
     """The reason why a run ended with ``status``, in the units of its axis."""
-    place, speed = units.quantity(1000.0, "m"), units.quantity(1000.0, "m/s")
+    place, speed = (units.quantity(units.farthest, unit) for unit in ("m", "m/s"))
     return {
         DIVERGED: f"the motion left every bound ({place}, {speed}) or became not a number",
         NO_STEP: "no step is short enough for the tolerance",
@@ -219,7 +220,7 @@ def carry(y, t, span, tau, push, s, hint, plant, bounds, work, new, before, even
             hint = max(hint, 2.0 * h)
         elif error < 0.5:
             hint = max(hint, h * 0.9 / np.sqrt(np.sqrt(error)))
-        if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
+        if not (abs(y[0]) < settings[FARTHEST] and abs(y[1]) < settings[FARTHEST]):
             return s, hint, DIVERGED, done
     return s, hint, DONE, done
 
@@ -397,7 +398,7 @@ def run(
                     y[0], y[1], reached = follow(
                         y[0], y[1], reached, tau, force, h, friction, t + start, events_, tally_
                     )
-                if not (abs(y[0]) < 1e3 and abs(y[1]) < 1e3):
+                if not (abs(y[0]) < settings[FARTHEST] and abs(y[1]) < settings[FARTHEST]):
                     return DIVERGED, k, start
                 start = end
                 continue

@@ -16,6 +16,7 @@ import numpy as np
 from emps_design.simulation.kernels.compile import call_rate, fused, shifted
 from emps_design.simulation.kernels.motion import (
     BRAKING,
+    FARTHEST,
     LAG,
     LEVEL,
     LINEAR,
@@ -240,7 +241,7 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
         force += span * (slope + 0.5 * span * curve)
         slope += span * curve
         first, last = last, of_row(n, new, gap, force, row)
-        if not (s * new[1] > 0.0 and abs(new[0]) < 1e3 and abs(new[1]) < 1e3):
+        if not (s * new[1] > 0.0 and abs(new[0]) < settings[FARTHEST] and abs(new[1]) < settings[FARTHEST]):
             return False
         # A dip of the velocity between the two: for a parabola it is half of this at most.
         dip = 0.5 * span * min(abs(first), abs(last))

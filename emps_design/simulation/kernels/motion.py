@@ -23,8 +23,8 @@ from emps_design.simulation.kernels.compile import call_kernel, call_rate, fused
 # Places in ``settings``.
 (PERIOD, GAIN, LIMIT, RESOLUTION, DELAYED, LAG, FREE, STATES, TOLERANCE, SLIDES, EXACT, ENERGY,
  VISCOUS_P, VISCOUS_N, BRAKING, LEVEL, MASS, MOBILITY, LINEAR, BEHIND, TWIST, LOWER, UPPER,
- ERROR_ALONE, WAITS) = range(25)  # fmt: skip
-SETTINGS = 25
+ ERROR_ALONE, WAITS, FARTHEST) = range(26)  # fmt: skip
+SETTINGS = 26
 DRIVE = 7  # numbers of ``drive``
 
 ORDER = 4  # of convergence, measured in the tests

@@ -164,6 +164,22 @@ def test_no_mass_left_is_an_error():
         Plant.of(AXIS.replace(effects=effects)).closed_loop(ramp())
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"voltage_noise": np.zeros(4000)},
+        {"effects": [{"kind": "flexible_coupling", "frequency": 40.0, "damping": 0.1, "share": 0.3}]},
+        {"effects": [{"kind": "stribeck_friction", "excess": 1.0, "stribeck_velocity": 0.1, "exponent": 1.0}]},
+    ],
+)
+def test_a_shaft_turns_as_far_as_it_likes(options):
+    shaft = AXIS.replace(motion="rotary", mechanics={"mass": 1.0}, effects=options.pop("effects", []))
+    turned = 400.0 * np.arange(4000) * 1e-3  # rad
+    run = Plant.of(shaft).closed_loop(turned, v0=400.0, **options)
+    assert run.position[-1] == pytest.approx(turned[-1], rel=0.01) and run.position[-1] > 1500.0
+
+
 def test_motion_without_bounds_is_an_error():
     axis = AXIS.replace(mechanics={"viscous": 0.0, "coulomb": 0.0, "mass": 1e-3})
     with pytest.raises(SimulationError, match="the motion left every bound"):
