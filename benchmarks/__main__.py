@@ -214,13 +214,16 @@ def _contact(axis, record, rows) -> None:
 
     ripple = {"kind": "friction_ripple", "amplitude": 1.0, "phase": 0.5, "period": 2.5e-3}
 
-    def seconds(*effects: dict) -> float:
+    def seconds(*effects: dict, tolerance: float = 1.0) -> float:
         plant = Plant.of(axis.replace(effects=list(effects)))
-        return _median(lambda: plant.closed_loop(record.q_ref, q0=float(record.q[0])))
+        return _median(lambda: plant.closed_loop(record.q_ref, q0=float(record.q[0]), tolerance=tolerance))
 
     soft, stiff = ({"kind": "presliding_friction", "stiffness": stiffness} for stiffness in (1e5, 1e8))
     add(rows, "presliding friction, the stiffest contact over a soft one", seconds(stiff) / seconds(soft), "times", 2.0)
     add(rows, "a friction ripple with presliding over it alone", seconds(soft, ripple) / seconds(ripple), "times", 4.0)
+    behind = {"kind": "flexible_coupling", "frequency": 60.0, "damping": 0.05, "share": 0.4}
+    loose = seconds(stiff, behind, tolerance=1e5) / seconds(stiff, behind)
+    add(rows, "a stiff contact beside a coupling, loose steps over tight ones", loose, "times", 1.0)
 
 
 def _ensembles(axis, record, rows) -> None:

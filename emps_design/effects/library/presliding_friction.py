@@ -3,14 +3,14 @@
 F = stiffness z, dz/dt = v - |v| stiffness z / L, with L the Coulomb level of the moment: a spring at small travel,
 Coulomb friction L sign(v) after about 3 L / stiffness of travel. It stands in for the set-valued friction, so the
 carriage has no true stick; a level that other effects drive to zero erases the memory over ``FORGET``. A contact
-that would bend by less than ``FINEST`` bends over that: no encoder resolves it, and a simulation would take very long.
+that would bend by less than ``FINEST`` bends over that: no encoder resolves it.
 """
 
 from emps_design.effects.effect import Claims, Effect, Parameter, Search, Solver, Words
 from emps_design.quantities import Quantity
 
 FORGET = 1e-4  # m
-FINEST = 1e-6  # m
+FINEST = 1e-9  # m
 SETTLED = 1e-9  # of the whole bend: closer to it the contact counts as sliding, and steps may be long
 PARAMETERS = (
     Parameter("stiffness", r"\sigma", "N/m", 1e3, 1e8, starts=(2e4, 1e5, 5e5, 2e6),

@@ -39,6 +39,18 @@ def test_slides_between_jumps_are_where_steps_lead(jumps, others, lag):
     assert np.abs(tight.position - stepped.position).max() < 1e-11
 
 
+@pytest.mark.parametrize("stiffness", [1e6, 1e8])
+@pytest.mark.parametrize("others", ["alone", "friction"])
+def test_a_contact_beside_a_coupling_slides_alike_in_loose_and_tight_steps(others, stiffness):
+    coupling = {"kind": "flexible_coupling", "frequency": 60.0, "damping": 0.05, "share": 0.4}
+    contact = {"kind": "presliding_friction", "stiffness": stiffness}
+    plant = Plant.of(machine("emps2019").replace(effects=[*OTHERS[others], coupling, contact]))
+    run, loose, tight = (plant.open_loop(VOLTS, tolerance=tolerance) for tolerance in (1.0, 1e5, 1e-3))
+    assert np.ptp(tight.position) > 3e-4
+    assert np.abs(run.position - tight.position).max() < 2e-9
+    assert np.abs(loose.position - tight.position).max() < 2e-6
+
+
 @pytest.mark.parametrize("others", ["alone", "friction"])
 def test_jumps_leave_the_periods_between_them_to_slides(others):
     plant = Plant.of(machine("emps2019").replace(effects=[*OTHERS[others], JUMPS["with the samples"]]))
