@@ -265,6 +265,8 @@ def alike_in_company(outcome: Outcome, stands: Fit) -> dict[str, list[str]]:
 
     Each finding is replaced by the effects it is confusable with, starting from their own best fits.
     """
+    if not stands.model.effects:
+        return {}
     noise = floor_of_residual(stands.remaining_force(), stands.problem.period, LEFT).whitening
     weighed, by_effect = stands.problem.with_whitening(noise), {}
     own = evaluate(Hypothesis(weighed, stands.model))

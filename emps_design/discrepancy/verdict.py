@@ -373,6 +373,8 @@ def _beside_anything(data: HeldOut | None, searched: Fit, answer: Validation) ->
 
     def by_itself() -> Validation:
         stands, refuted = standing(data, searched)
+        if not stands.innovations:  # without the effects withdrawn, the rest of the model cannot be simulated
+            stands = answer.baseline
         shares = [] if data is None else claims_on(data, stands)
         alike, baseline = alike_in_company(outcome, stands), robust(answer.baseline)
         return Validation(outcome, "partly-named", baseline, stands, alike, shares, refuted, share=answer.share)
