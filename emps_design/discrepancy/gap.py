@@ -116,13 +116,17 @@ def most_missed(hypothesis: Hypothesis) -> int:
 
 
 def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
-    """Simulate the first record from its reference alone with both models and the quantised encoder."""
+    """Simulate the first record with both models, from its reference with the quantised encoder.
+
+    A law that follows the recorded motion has no encoder of its own.
+    """
     problem = baseline.problem
-    axis, record = problem.axis, problem.records[0]
+    axis, record = problem.recorded.simulated, problem.records[0]
     measured = motor_force(axis, record)
 
     def simulated(hypothesis: Hypothesis) -> np.ndarray:
-        force = Plant.of(hypothesis.model.to_axis(axis)).closed_loop(**hypothesis.driven(0)).force
+        plant = Plant.of(hypothesis.model.to_axis(axis))
+        force = plant.closed_loop(**hypothesis.driven(0), quantise=not problem.follows).force
         return measured - problem.compared((measured - force,))[0] if problem.follows else force
 
     before, after = side_by_side(simulated, [(baseline,), (extended,)])

@@ -26,9 +26,9 @@ from emps_design.discrepancy.records import Split, find_lap, find_strokes, split
 from emps_design.discrepancy.words import filled, worded
 from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
-from emps_design.effects.sizes import sized, sizes
+from emps_design.effects.sizes import sized, sizes, speed_size
 from emps_design.errors import InputError, RecordError
-from emps_design.identification.excitation import backward_time, one_direction
+from emps_design.identification.excitation import backward_time, least_stroke, one_direction
 from emps_design.identification.model import lumped
 from emps_design.identification.proposals import FEWEST_STROKES
 from emps_design.laws import get_law, law_of, recorded_gains, unit_of
@@ -205,9 +205,10 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
                 f"{record.name}: found {record.duration:.3g} s, expected at least {rules.SHORTEST:g} s; record whole "
                 "strokes"
             )
-        if np.ptp(record.q) < rules.STILL:
+        least = least_stroke(axis)
+        if np.ptp(record.q) < least:
             raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
-        if np.ptp(record.q_ref) < rules.STILL and not along_motion:
+        if np.ptp(record.q_ref) < least and not along_motion:
             raise RecordError(
                 f"{record.name}: q_ref is constant, so the controller of the axis file did not make this motion; "
                 'without one (kind = "none") it is compared by its command'
@@ -269,17 +270,17 @@ def identifiable_at_one_speed(effect: Effect) -> bool:
 def _not_excited(record: Record, units: Units) -> list[Message]:
     """Messages on what the speeds of ``record`` do not excite."""
     v = np.gradient(record.q_ref, record.period)
-    fastest = float(np.abs(v).max())
-    steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01) & (np.abs(v) > 0.02 * fastest)]
+    fastest, size = float(np.abs(v).max()), speed_size(v)
+    steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01 * size) & (np.abs(v) > 0.02 * fastest)]
     gaps = []
     if steady.size and np.ptp(steady) < 0.1 * fastest:
         text = "one speed only, so viscous friction and its curvature cannot be told from Coulomb friction"
         gaps.append(grave("one-speed", text))
-    moving = np.abs(v) > 0
-    if moving.any() and float(np.mean(np.abs(v[moving]) < rules.SLOW)) < 0.005:
-        slow = units.quantity(rules.SLOW, "mm/s", ".2g")
-        text = f"hardly any motion below {slow}, so Stribeck friction is seen at reversals only"
-        gaps.append(warning("no-slow-motion", text, speed=rules.SLOW))
+    moving, slow = np.abs(v) > 0, rules.SLOW * size
+    if moving.any() and float(np.mean(np.abs(v[moving]) < slow)) < 0.005:
+        speed = units.quantity(slow, "mm/s", ".2g")
+        text = f"hardly any motion below {speed}, so Stribeck friction is seen at reversals only"
+        gaps.append(warning("no-slow-motion", text, speed=slow))
     return gaps
 
 

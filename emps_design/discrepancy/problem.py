@@ -208,13 +208,13 @@ class Hypothesis:
 
         The law, where none is given, has the gains of the record.
         """
-        axis, measured = self.problem.axis, self.problem.records[record]
+        axis, measured = self.problem.recorded.simulated, self.problem.records[record]
         parameters = self.model.parameters(record)
         if "law" not in drive:
             drive["law"] = law_of(axis, measured.period, measured.extra)
         plant = Plant(axis, list(zip(self.model.effects, parameters, strict=True)))
-        baseline = self.model.baseline
-        return plant.closed_loop(ClosedLoopRun(**drive, baseline=baseline, quantise=False, tolerance=rules.LOOSE))
+        how = {**drive, "baseline": self.model.baseline, "tolerance": self.problem.recorded.tolerance}
+        return plant.closed_loop(ClosedLoopRun(**how, quantise=False))
 
     def driven(self, record: int) -> dict[str, Any]:
         """Keywords of :meth:`simulate` with the initial state and the drive of record number ``record``."""
@@ -252,7 +252,7 @@ class Hypothesis:
                 period=record.period,
                 baseline=self.model.baseline,
                 quantise=False,
-                tolerance=rules.LOOSE,
+                tolerance=problem.recorded.tolerance,
                 **how,
             )
             missed.append(

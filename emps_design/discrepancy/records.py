@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from emps_design.axis import Axis
+from emps_design.axis import NO_LIMIT, Axis
 from emps_design.discrepancy import rules
 from emps_design.effects import Motion
-from emps_design.effects.sizes import TURN
+from emps_design.effects.sizes import TURN, sizes
 from emps_design.identification.filters import low_pass, motion
 from emps_design.laws import NONE
 from emps_design.laws.library import position_pd
@@ -87,6 +87,22 @@ class Recorded:
     def follows(self) -> bool:
         """Whether models follow the recorded motion because the controller is unknown."""
         return bool(self.axis.controller.kind == NONE)
+
+    @cached_property
+    def simulated(self) -> Axis:
+        """The axis of the simulations.
+
+        A law that follows the recorded motion has no limit: it could correct a model one way only while the recorded
+        command is at the limit.
+        """
+        return self.axis.replace(drive={"command_limit": NO_LIMIT}) if self.follows else self.axis
+
+    @cached_property
+    def tolerance(self) -> float:
+        """Factor on the integrator's error tolerance, which fits an axis of ordinary stroke and speed."""
+        gain = self.axis.drive.gain
+        scales = [sizes(record.q, record.u, record.period, gain) for record in self.records]
+        return rules.LOOSE * min(1.0, *(scale[unit] for scale in scales for unit in ("m", "m/s")))
 
     @cached_property
     def starts(self) -> tuple[dict[str, Any], ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from emps_design.axis import Axis
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.unknown_force import MissingForce
+from emps_design.discrepancy.unknown_force import MissingForce, slowest
 from emps_design.effects import Motion
 from emps_design.effects.guesses import squares_explained, thin
 from emps_design.units import Units
@@ -84,7 +84,7 @@ def _around_reversals(
 
     ``drawn`` [s] is shown on both sides.
     """
-    sure = np.nonzero(np.abs(motion.v) > rules.SLOWEST)[0]
+    sure = np.nonzero(np.abs(motion.v) > slowest(motion.v))[0]
     if sure.size == 0:
         return []
     turns = sure[1:][np.diff(np.sign(motion.v[sure])) != 0]

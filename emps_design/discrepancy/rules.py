@@ -19,9 +19,8 @@ TWICE = 2.0  # the noise of a loop, the cost of a fit: more is loud, or another 
 
 # Records that can be judged
 SHORTEST = 2.0  # s
-STILL = 1e-4  # m, a reference that moves less is no motion
 AT_LIMIT = 0.999  # of the voltage limit, from which on a sample counts as limited
-SLOW = 0.02  # m/s, below which Stribeck friction is seen
+SLOW = 0.02  # m/s of an ordinary axis, below which Stribeck friction is seen
 MOST_SAMPLES = 1_000_000  # of all records together, which take 1.7 GB of memory; of more only the beginning is searched
 SEARCHED = 150_000  # samples of such a beginning, from the first motion on
 PIECE_TIME = 10.0  # s, of the pieces of a long record whose residuals are compared
@@ -136,11 +135,11 @@ OFF = 0.005  # of a parameter's magnitude: relevant error of the axis file
 
 # An unknown force
 REVERSAL_MARGIN = 0.06  # s on both sides of a reversal, where a zero-phase filter mixes the two directions
-SLOWEST = 2e-3  # m/s, below which the direction of motion is not certain
+SLOWEST = 2e-3  # m/s of an ordinary axis, below which the direction of motion is not certain
 DEGREE = 4  # of polynomials in position and in speed; twice that of those in one variable alone
 FADING_TIMES = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # s, of a memory: one that lasts a stroke would be a spring
 RESTING_TIME = 0.04  # s, in which a contact ages at rest
-FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal
+FADING_WAYS = (1e-4, 5e-4, 2e-3, 1e-2)  # m since a reversal, of an ordinary stroke
 DEGREE_ALONG = 6  # of a kind's polynomials in position; twice that where the finer shape leaves clearly less
 LOOP_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a force that is put in the loop
 

@@ -17,7 +17,7 @@ from emps_design.discrepancy.placement import EVERYWHERE, extent, placement, whe
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.discrepancy.residual_views import force_map
-from emps_design.discrepancy.unknown_force import MissingForce, missing_force, since_reversal
+from emps_design.discrepancy.unknown_force import MissingForce, missing_force, since_reversal, slowest
 from emps_design.discrepancy.verdict import Validation
 from emps_design.discrepancy.words import filled, listed
 from emps_design.messages import Message, note, warning
@@ -306,7 +306,7 @@ def _design(
     rows, force = [], []
     for gap, mask in zip(missing, masks, strict=True):
         x = np.clip(2 * (VARIABLES[name](gap) - scale[0]) / scale[1] - 1, -1, 1)
-        columns, direction = chebvander(x, 2 * rules.DEGREE), np.tanh(gap.motion.v / rules.SLOWEST)
+        columns, direction = chebvander(x, 2 * rules.DEGREE), np.tanh(gap.motion.v / slowest(gap.motion.v))
         rows.append(np.column_stack([columns, columns * direction[:, None]])[mask])
         force.append((gap.force - np.mean(gap.force[mask]))[mask])
     return np.concatenate(rows), np.concatenate(force)

@@ -26,6 +26,7 @@ from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.effects import Motion
 from emps_design.effects.effect import MASS, VISCOUS
+from emps_design.effects.sizes import speed_size, stroke_size
 from emps_design.errors import SimulationError
 from emps_design.identification.filters import held_force, motion
 from emps_design.observer import motor_share
@@ -70,8 +71,13 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
 
 def away_from_reversals(v: np.ndarray, period: float, margin: float = rules.REVERSAL_MARGIN) -> np.ndarray:
     """Samples (n,) bool in which ``v`` (n,) [m/s] keeps its sign for ``margin`` [s] on both sides."""
-    sliding = np.abs(v) > max(rules.SLOWEST, 0.01 * float(np.abs(v).max()))
+    sliding = np.abs(v) > max(slowest(v), 0.01 * float(np.abs(v).max()))
     return sliding & ~near_reversals(v, period, margin)
+
+
+def slowest(v: np.ndarray) -> float:
+    """The speed [m/s] below which the direction of a motion with velocities ``v`` (n,) is not certain."""
+    return rules.SLOWEST * speed_size(v)
 
 
 def near_reversals(v: np.ndarray, period: float, margin: float) -> np.ndarray:
@@ -112,7 +118,7 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
     from numpy.polynomial.chebyshev import chebvander
 
     v = np.gradient(q, period)
-    direction, speed = np.tanh(v / rules.SLOWEST), np.abs(v) / np.abs(v).max()
+    direction, speed = np.tanh(v / slowest(v)), np.abs(v) / np.abs(v).max()
     surface = along(q, rules.DEGREE)[:, :, None] * chebvander(2 * speed - 1, rules.DEGREE)[:, None]
     surface = surface.reshape(q.size, -1)
     remembered, count = (memories(q, period), fading_memories(v, period)), surface.shape[1]
@@ -143,10 +149,10 @@ def memories(q: np.ndarray, period: float) -> np.ndarray:
     On the age of the contact, the way since a reversal, and fading memories of direction and of sliding.
     """
     v = np.gradient(q, period)
-    direction = np.tanh(v / rules.SLOWEST)
+    direction = np.tanh(v / slowest(v))
     way = np.cumsum(np.abs(v)) * period
     way -= way[np.arange(q.size) - since_reversal(v)]
-    fading = np.exp(-way[:, None] / rules.FADING_WAYS)
+    fading = np.exp(-way[:, None] / (stroke_size(q) * np.array(rules.FADING_WAYS)))
     along_it = np.column_stack([contact_age(v, period), fading, fading_memories(np.abs(direction), period)])
     return np.column_stack([along_it * direction[:, None], fading_memories(direction, period)])
 
@@ -168,7 +174,7 @@ def contact_age(v: np.ndarray, period: float) -> np.ndarray:
     >>> contact_age(v, 1e-3)[[2, 642, -1], -1].round(3).tolist()
     [1.0, 0.368, 1.0]
     """
-    slides, times = np.abs(v) > 0.5 * rules.SLOWEST, np.array(rules.FADING_TIMES)
+    slides, times = np.abs(v) > 0.5 * slowest(v), np.array(rules.FADING_TIMES)
     states, now, begin = np.empty((v.size, times.size)), np.ones(times.size), 0
     for end in np.append(np.flatnonzero(np.diff(slides)) + 1, v.size):
         aim, own = (0.0, times) if slides[begin] else (1.0, rules.RESTING_TIME)
@@ -214,14 +220,14 @@ def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
     On its speed as well. A memory of the signed velocity would be a spring, or viscous friction.
     """
     v = np.gradient(simulated, measured.period)
-    fast = fading_memories(np.abs(v), measured.period) * np.tanh(v / rules.SLOWEST)[:, None]
+    fast = fading_memories(np.abs(v), measured.period) * np.tanh(v / slowest(v))[:, None]
     return np.column_stack([memories(simulated, measured.period), fast])
 
 
 def baseline(measured: Motion, simulated: np.ndarray) -> np.ndarray:
     """The columns (n, 4) of the baseline: acceleration, velocity, its direction, and 1."""
     v = measured.v
-    return np.column_stack([measured.a, v, np.tanh(v / rules.SLOWEST), np.ones_like(v)])
+    return np.column_stack([measured.a, v, np.tanh(v / slowest(v)), np.ones_like(v)])
 
 
 def _by_degree(name: str, columns: Callable[..., np.ndarray]) -> tuple[Kind, ...]:

@@ -30,13 +30,13 @@ def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dic
     >>> sizes(0.125 * np.sin(t), 5.0 * np.cos(t), 1e-3, 40.0)
     {'m': 1.0, 'm/s': 1.0, 'N': 1.0, 'V': 1.0}
     """
-    span = max(1, q.size // 100)
-    largest = {
-        "m/s": float(np.abs(q[span:] - q[:-span]).max(initial=0.0)) / (span * period),
-        "N": float(np.abs(u).max(initial=0.0)) * force_gain,
-        "V": float(np.abs(u).max(initial=0.0)),
+    most = float(np.abs(u).max(initial=0.0))
+    return {
+        "m": stroke_size(q),
+        "m/s": speed_size(np.diff(q) / period),
+        "N": _relative_size(most * force_gain, "N"),
+        "V": _relative_size(most, "V"),
     }
-    return {"m": stroke_size(q), **{unit: _relative_size(size, unit) for unit, size in largest.items()}}
 
 
 def stroke_size(q: np.ndarray) -> float:
@@ -46,6 +46,17 @@ def stroke_size(q: np.ndarray) -> float:
     (1.0, 8.0, 25.132741228718345)
     """
     return _relative_size(min(float(np.ptp(q)), TURN), "m")
+
+
+def speed_size(v: np.ndarray) -> float:
+    """How much faster than the ordinary axis that of ``v`` (n,) [m/s or rad/s] is, 1 where it is alike.
+
+    >>> t = np.arange(0.0, 10.0, 1e-3)
+    >>> speed_size(0.1 * np.sin(t)), round(speed_size(75.0 * np.sin(t)))
+    (1.0, 500)
+    """
+    span, way = max(1, v.size // 100), np.cumsum(v)
+    return _relative_size(float(np.abs(way[span:] - way[:-span]).max(initial=0.0)) / span, "m/s")
 
 
 def _relative_size(size: float, unit: str) -> float:

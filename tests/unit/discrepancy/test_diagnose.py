@@ -256,6 +256,33 @@ def test_without_a_controller_the_models_follow_the_recorded_motion(effect):
     assert answer.axis.controller.kind == "none"
 
 
+def test_a_motor_that_reaches_its_current_limit_lacks_nothing():
+    """The law that follows a record corrects both ways, at the limit of the recorded command as well."""
+    motor = AXIS.replace(
+        motion="rotary",
+        mechanics={"mass": 2e-4, "viscous": 1e-3, "coulomb": 5e-3, "offset": 0.0},
+        drive={"force_gain": 0.05, "command": "current", "command_limit": 5.0},
+        sampling={"encoder_resolution": 2 * np.pi / 10_000},
+        controller={"kind": "position_pd", "kp": 60.0, "kv": 1.0},
+    )
+    speeds = np.repeat(np.random.default_rng(71).uniform(-40.0, 40.0, 24), 400)  # rad/s, which step
+    run = Plant.of(motor).closed_loop(np.cumsum(speeds) * 1e-3)
+    assert 0.005 < np.mean(np.abs(run.u) == 5.0) < 0.2
+    unknown = motor.replace(controller={"kind": "none"})
+    made = Record(t=run.t, q_ref=run.q, q=run.q, u=run.u, period=1e-3, name="steps")
+    answer = diagnose(made, unknown, library=SHORT)
+    assert answer.verdict == "nothing-missing"
+    assert answer.train.baseline < 1.5 * answer.noise.force
+
+
+def test_a_stroke_of_micrometres_is_motion_for_a_fine_encoder():
+    whole = record()
+    small = dataclasses.replace(whole, q=2e-4 * whole.q, q_ref=2e-4 * whole.q_ref)  # 12 um
+    with pytest.raises(RecordError, match="does not move"):
+        check_records((small,), AXIS.replace(sampling={"encoder_resolution": 1e-6}))
+    check_records((small,), AXIS.replace(sampling={"encoder_resolution": 1e-9}))
+
+
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.08, 1.0])
 def test_a_record_is_followed_by_a_light_model_too(share):
     """The law that follows is sized by the model's mass as well: by the file's alone its loop would swing."""
