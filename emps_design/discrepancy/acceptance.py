@@ -77,7 +77,7 @@ def blocks(m: int, n: int, generator: np.random.Generator) -> tuple[np.ndarray, 
 
 def resampled(draws: np.ndarray, n: int, begins: np.ndarray, signs: np.ndarray) -> np.ndarray:
     """``n`` innovations: the circular blocks of ``draws`` (m,) that :func:`blocks` drew."""
-    rings = sliding_window_view(np.concatenate((draws, draws[: rules.PIECE])), rules.PIECE)
+    rings = sliding_window_view(np.resize(draws, draws.size + rules.PIECE), rules.PIECE)
     return (rings[begins] * signs[:, None]).ravel()[:n]
 
 

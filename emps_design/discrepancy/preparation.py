@@ -28,7 +28,7 @@ from emps_design.effects import Effect, Motion
 from emps_design.effects.effect import COULOMB, MASS, OFFSET, VISCOUS
 from emps_design.effects.sizes import sized, sizes, speed_size
 from emps_design.errors import InputError, RecordError
-from emps_design.identification.excitation import backward_time, least_stroke, one_direction
+from emps_design.identification.excitation import SMALLEST_STROKE, backward_time, one_direction
 from emps_design.identification.model import lumped
 from emps_design.identification.proposals import FEWEST_STROKES
 from emps_design.laws import get_law, law_of, recorded_gains, unit_of
@@ -205,7 +205,7 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
                 f"{record.name}: found {record.duration:.3g} s, expected at least {rules.SHORTEST:g} s; record whole "
                 "strokes"
             )
-        least = least_stroke(axis)
+        least = rules.FEWEST_STEPS * axis.sampling.encoder_resolution or SMALLEST_STROKE
         if np.ptp(record.q) < least:
             raise RecordError(f"{record.name}: the axis does not move; record strokes in both directions")
         if np.ptp(record.q_ref) < least and not along_motion:

@@ -237,16 +237,18 @@ class Hypothesis:
         pushes = disturbance or (None,) * len(self.problem.records)
         return tuple(self.run(record, push) for record, push in enumerate(pushes))
 
-    def free_run_error(self) -> float:
-        """Rms velocity error [m/s] of the model driven by the recorded command alone.
+    def free_run(self, disturbance: Sequence[np.ndarray] = ()) -> np.ndarray:
+        """Velocity errors [m/s] of the model driven by the recorded command alone, all records end to end.
 
-        In the band in which a model that follows its record is compared. Raises :class:`SimulationError` where the
-        motion is unbounded.
+        In the band in which a model that follows its record is compared; under a ``disturbance`` (n,) [N] per record.
+        Raises :class:`SimulationError` where the motion is unbounded.
         """
         problem, missed = self.problem, []
         for number, (record, band_hz) in enumerate(zip(problem.records, problem.recorded.bands, strict=True)):
             plant = Plant(problem.axis, list(zip(self.model.effects, self.model.parameters(number), strict=True)))
             how = {key: value for key, value in problem.recorded.starts[number].items() if key in OPEN_LOOP}
+            for force in disturbance[number : number + 1]:
+                how["disturbance"] = force + (0.0 if how["disturbance"] is None else how["disturbance"])
             run = plant.open_loop(
                 record.u,
                 period=record.period,
@@ -258,7 +260,7 @@ class Hypothesis:
             missed.append(
                 in_followed_band(np.gradient(record.q - run.q, record.period), record, band_hz)[rules.START_UP :]
             )
-        return float(np.sqrt(np.mean(np.concatenate(missed) ** 2)))
+        return np.concatenate(missed)
 
     def residuals(self, disturbance: Sequence[np.ndarray | None] | None = None) -> tuple[np.ndarray, ...]:
         """Measured minus simulated motor force [N], one array (n,) per record, under ``disturbance`` as in `runs`.

@@ -21,7 +21,7 @@ from emps_design.axis import NO_LIMIT, Axis
 from emps_design.discrepancy import rules
 from emps_design.effects import Motion
 from emps_design.effects.sizes import TURN, sizes
-from emps_design.identification.filters import low_pass, motion
+from emps_design.identification.filters import encoder_variance, low_pass, motion
 from emps_design.laws import NONE
 from emps_design.laws.library import position_pd
 from emps_design.observer import motor_force
@@ -30,14 +30,27 @@ from emps_design.simulation.run import commands_of, driven_by
 
 
 def band(record: Record) -> float:
-    """The frequency [Hz] below which nine tenths of the power of the command lie.
+    """The frequency [Hz] below which nine tenths of the power of the command lie, and the encoder's noise is minor.
+
+    Above, white noise of the position is more than ``rules.MINOR`` of the acceleration below that frequency: a model
+    that follows it would do best with hardly any mass.
 
     >>> t = np.arange(4000) * 1e-3
-    >>> round(band(Record(t, t, t, np.sin(2 * np.pi * 72 * t), 1e-3)))
+    >>> command = np.sin(2 * np.pi * 72 * t)
+    >>> round(band(Record(t, t, -1e-3 * command, command, 1e-3)))
     72
+    >>> noisy = 1e-3 * (np.random.default_rng(0).standard_normal(4000) - command)
+    >>> band(Record(t, t, noisy, command, 1e-3)) < 50.0
+    True
     """
+    n, period = len(record), record.period
     power = np.cumsum(np.abs(np.fft.rfft(record.u - record.u.mean())) ** 2)
-    return float(np.searchsorted(power, rules.NEARLY_ALL * power[-1])) / (len(record) * record.period)
+    acceleration = np.gradient(np.gradient(record.q, period), period)
+    moved = np.cumsum(np.abs(np.fft.rfft(acceleration)) ** 2) * 2.0 / n**2  # (m/s^2)^2 below each frequency
+    frequencies = np.fft.rfftfreq(n, period)
+    noise = encoder_variance(record) * 2.0 * period * (2.0 * np.pi) ** 4 * frequencies**5 / 5.0
+    quiet = frequencies[np.flatnonzero(noise <= rules.MINOR**2 * moved)[-1]]
+    return float(min(frequencies[np.searchsorted(power, rules.NEARLY_ALL * power[-1])], quiet))
 
 
 def bandwidth(record: Record, band_hz: float) -> float:

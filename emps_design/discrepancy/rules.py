@@ -19,6 +19,7 @@ TWICE = 2.0  # the noise of a loop, the cost of a fit: more is loud, or another 
 
 # Records that can be judged
 SHORTEST = 2.0  # s
+FEWEST_STEPS = 20  # of the encoder: a shorter stroke is no motion
 AT_LIMIT = 0.999  # of the voltage limit, from which on a sample counts as limited
 SLOW = 0.02  # m/s of an ordinary axis, below which Stribeck friction is seen
 MOST_SAMPLES = 1_000_000  # of all records together, which take 1.7 GB of memory; of more only the beginning is searched

@@ -31,7 +31,8 @@ def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_w
     """
     stroke = float(np.ptp(record.q))
     step, units = axis.sampling.encoder_resolution, axis.units
-    if stroke < least_stroke(axis):
+    least = SMALLEST_STEPS * step or SMALLEST_STROKE
+    if stroke < least:
         size = units.quantity(stroke, "m", ".3g")
         steps = f", {stroke / step:.3g} steps of the encoder, expected at least {SMALLEST_STEPS}" if step else ""
         found = f"found a stroke of {size}{steps}" if stroke else f"no motion, the stroke is {size}"
@@ -52,11 +53,6 @@ def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_w
             f"constant {units.word('force')} are one; record motion in both directions"
         )
     return force_free(record, axis, external_force)
-
-
-def least_stroke(axis: Axis) -> float:
-    """The shortest stroke [m] that counts as motion of ``axis``, in steps of its encoder."""
-    return SMALLEST_STEPS * axis.sampling.encoder_resolution or SMALLEST_STROKE
 
 
 def force_free(record: Record, axis: Axis, external_force: str = REFUSE) -> Record:
