@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from emps_design.discrepancy.acceptance import Judge
+from emps_design.discrepancy.acceptance import Judge, resampled
 from emps_design.discrepancy.beam_search import UNFINISHED
 from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import Share, _size_known, effect_shares, standing
@@ -307,3 +307,34 @@ def test_a_dead_zone_that_stands_in_for_a_load_on_a_spring_is_refuted_by_the_fre
         assert extended.cost < 1e-2 * start.cost  # the force that follows the record
         assert errors[0] == pytest.approx(np.sqrt(np.mean(start.free_run() ** 2)))
         assert errors[0] < errors[1]
+
+
+def test_a_free_run_that_noise_alone_moves_as_far_refutes_nothing():
+    """Friction that falls with speed makes slow free motion a matter of chance: whether it sticks, and when."""
+    numbers = {"mass": 8e-4, "viscous": 2e-3, "coulomb": 0.16, "offset": 0.0}
+    falls = {"kind": "stribeck_friction", "excess": 0.07, "stribeck_velocity": 2.5, "exponent": 2.0}
+    motor = AXIS.replace(
+        motion="rotary",
+        mechanics=numbers,
+        drive={"force_gain": 0.05, "command": "current", "command_limit": 30.0},
+        sampling={"encoder_resolution": 2 * np.pi / 65536},
+        controller={"kind": "position_pd", "kp": 40.0, "kv": 1.0},
+    )
+    generator = np.random.default_rng(19)
+    speeds = np.repeat(generator.uniform(-200.0, 200.0, 14) * generator.choice([1.0, 0.1, 0.02], 14), 400)
+    push = 2e-3 * generator.standard_normal(speeds.size)
+    run = Plant.of(motor.replace(effects=[falls])).closed_loop(np.cumsum(speeds) * 1e-3, disturbance=push)
+    record = Record(t=run.t, q_ref=run.q, q=run.q, u=run.u, period=1e-3, name="slow")
+    effect = get_effect("stribeck_friction")
+    first = prepare((record,), motor.replace(controller={"kind": "none"}), (effect,), None, None, None).start
+    noisy = first.problem.with_whitening(Whitening(np.array([1.0]), 0.015))  # N m
+    start = fit(Hypothesis(noisy, first.model))
+    extended = fit(start.with_model(start.model.with_effect(effect, np.array([[0.07, 2.5, 2.0]]))))
+    assert extended.cost < start.cost
+    assert np.mean(extended.free_run() ** 2) > 2.0 * np.mean(start.free_run() ** 2)
+    assert _refuted_in_free_run(start, SimpleNamespace(verdict="named", extended=extended)) is None
+
+
+def test_few_draws_are_resampled_as_a_ring():
+    drawn = resampled(np.array([1.0, 2.0, 3.0]), 5, np.array([1]), np.array([-1.0]))
+    assert drawn.tolist() == [-2.0, -3.0, -1.0, -2.0, -3.0]
