@@ -275,7 +275,8 @@ def _refuted_in_free_run(start: Fit, answer: Validation) -> tuple[float, float] 
     A model that follows its record is judged by the force this takes, and an effect can replace another in that force
     alone: a dead zone a load on a spring. In a free motion it fails, by more than noise changes that motion: friction
     that falls with speed, or a ripple that holds a slow axis, leaves much to chance. Both models by least squares,
-    ``start`` is the baseline. Effects of the sensor move nothing, and an unbounded motion tells nothing.
+    ``start`` is the baseline. Effects of the sensor move nothing. A motion without bounds tells nothing, nor does one
+    that the baseline misses by all of it.
     """
     effects = answer.extended.model.effects
     if not answer.extended.problem.follows or answer.verdict == "unnamed" or not effects:
@@ -286,6 +287,8 @@ def _refuted_in_free_run(start: Fit, answer: Validation) -> tuple[float, float] 
         extended = fit(answer.extended, "used")
         missed = extended.free_run()
         before, after = _rms(start.free_run()), _rms(missed)
+        if before > _rms(np.concatenate([np.gradient(record.q, record.period) for record in start.problem.records])):
+            return None
         chance = [_rms(extended.free_run(extended.problem.noise(seed)) - missed) for seed in range(rules.NOISES)]
         return (before, after) if after - max(chance) > rules.CLOSE * before else None
     return None

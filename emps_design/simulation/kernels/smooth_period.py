@@ -114,7 +114,7 @@ def tends(i, y, t, acting, level, s, plant, rate):
 
 @fused
 def settle(y, t, tau, plant, work):
-    """Put every memory on its end value where that is within the tolerance of a step.
+    """Put every memory on its end value where that is within a tenth of the tolerance of a step.
 
     From there on it does not change under a constant level. Beside it an explicit step would be limited by stability to
     a few travel constants for ever, which at speed is a thousandth of a period.
@@ -128,7 +128,7 @@ def settle(y, t, tau, plant, work):
             if at == hooks[3 * k + 1]:
                 x = y[at]
                 end = tends(i, y, t, acting, level, s, plant, rate)[0]
-                y[at] = end if abs(end - x) <= OWN * settings[TOLERANCE] * abs(end) else x
+                y[at] = end if abs(end - x) <= 0.1 * OWN * settings[TOLERANCE] * abs(end) else x
 
 
 @fused
