@@ -174,11 +174,10 @@ def test_no_mass_left_is_an_error():
     ],
 )
 def test_a_shaft_turns_as_far_as_it_likes(options):
-    shaft = AXIS.replace(motion="rotary", mechanics={"mass": 1.0}, effects=options.pop("effects", []))
+    shaft = AXIS.replace(motion="rotary", mechanics={"viscous": 0.1}, effects=options.pop("effects", []))
     turned = 400.0 * np.arange(4000) * 1e-3  # rad
     run = Plant.of(shaft).closed_loop(turned, v0=400.0, **options)
-    assert run.position[-1] == pytest.approx(turned[-1], rel=0.01)
-    assert run.position[-1] > 1500.0
+    assert run.position[-1] > 1100.0
 
 
 def test_motion_without_bounds_is_an_error():
