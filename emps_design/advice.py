@@ -147,8 +147,8 @@ def objection(document: Mapping[str, Any]) -> str:
 
     >>> from emps_design.messages import note, warning, wrong
     >>> gap, rest = warning("gap", "a gap of 2 ms"), note("rest", "a rest of 3 s")
-    >>> objection({"warnings": [rest, gap, wrong("structure", "the model leaves 30 % of the force unexplained")]})
-    'the model leaves 30 % of the force unexplained'
+    >>> objection({"warnings": [rest, gap, wrong("structure", "the model does not explain 30 % of the force")]})
+    'the model does not explain 30 % of the force'
     """
     return _worst(document.get("warnings", ()), Severity.WARNING)
 
@@ -167,16 +167,16 @@ def identify(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     parameters = document["parameters"].items()
     unknown = [name for name, entry in parameters if entry.get("value", entry.get("mean")) is None]
     if objection(document) or unknown:
-        text = objection(document) or f"{', '.join(unknown)} cannot be told from this record"
+        text = objection(document) or f"this record does not determine {', '.join(unknown)}"
         return Advice(CAUTION, text, diagnose)
     out = command_line.out
     next_step = command("report", out, out=PAGE) if out else command_line.again(out=IDENTIFIED)
-    return Advice(SAFE, "nothing in the record speaks against the model and its intervals", next_step)
+    return Advice(SAFE, "nothing in the record contradicts the model and its intervals", next_step)
 
 
 def _law(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     if document.get("controller") is None:
-        return Advice(CAUTION, sentence(document.get("reason") or "the law cannot be told from this record"), None)
+        return Advice(CAUTION, sentence(document.get("reason") or "this record does not determine the law"), None)
     equivalents, reason = document.get("equivalents"), document.get("reason")
     if equivalents or reason or document.get("verdict") not in (None, "told") or objection(document):
         text = objection(document) or reason or "another law explains the record as well"
@@ -184,7 +184,7 @@ def _law(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     next_step = command("identify", *command_line.records, axis=command_line.axis)
     return Advice(
         SAFE,
-        "what is left of the command is the record's own noise and resolution",
+        "the residual of the command is noise and resolution of the record",
         next_step if command_line.out else command_line.again(out=CONTROLLER),
     )
 
@@ -194,7 +194,7 @@ def _frf(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
         return Advice(CAUTION, objection(document), None)
     out = command_line.out
     next_step = command("report", command_line.axis, frf=out, out=PAGE) if out else command_line.again(out=RESPONSE)
-    return Advice(SAFE, "coherence and deviations are those of a plant that answers as a linear one", next_step)
+    return Advice(SAFE, "coherence and standard deviations are those of a linear plant", next_step)
 
 
 def _observe(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -203,7 +203,7 @@ def _observe(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     least = document.get("online", document.get("offline"))["smallest_observable_force"]["value"]
     units = command_line.units
     forces, size = units.word("forces"), units.quantity(least, "N", ".3g")
-    return Advice(SAFE, f"{forces} of more than {size} are seen with this model", None)
+    return Advice(SAFE, f"{forces} of more than {size} can be observed with this model", None)
 
 
 def _diagnose(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -217,20 +217,18 @@ def _diagnose(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     if folder and experiment.get("file"):
         tried = command("simulate", f"{folder}/model.toml", reference=f"{folder}/{experiment['file']}")
     sentences = {
-        "unnamed": "something is missing from the model that no effect of the library explains",
-        "partly-named": "beside what has a name something is missing that no effect explains",
+        "unnamed": "the model lacks something that no effect of the library explains",
+        "partly-named": "the named effects do not explain everything that the model lacks",
         "ambiguous": "the record cannot tell which of several effects is missing",
     }
     if verdict in sentences or document.get("unexplained") or document.get("interrupted"):
-        return Advice(CAUTION, sentences.get(verdict, "structure is left that no effect explains"), tried)
+        return Advice(CAUTION, sentences.get(verdict, "no effect explains the rest of the gap"), tried)
     if objection(document):
         return Advice(CAUTION, objection(document), tried)
     if findings and not all(finding.get("confirmed") for finding in findings):
-        return Advice(CAUTION, "not every effect was confirmed on data that did not find it; hold a record out", tried)
+        return Advice(CAUTION, "not every effect was confirmed on held-out data; hold out a record", tried)
     names = ", ".join(finding["label"] for finding in findings)
-    text = (
-        f"what was missing has a name and was confirmed: {names}" if findings else "nothing is missing from the model"
-    )
+    text = f"the missing effects were found and confirmed: {names}" if findings else "nothing is missing from the model"
     return Advice(SAFE, text, next_step)
 
 
@@ -380,15 +378,15 @@ def impedance(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
         factor = study and study.get("coulomb_factor_without_creep")
         below = math.floor(1e3 * (factor or 0.0)) / 1e3
         less = command_line.again(coulomb_factor=below) if below and verdict == "creeping" else None
-        text = grave_warning(document) or f"let go, the {carriage} is {verdict.replace('_', ' ')}"
+        text = grave_warning(document) or f"the released {carriage} is {verdict.replace('_', ' ')}"
         return Advice(CAUTION, text, less or nearest_command(document.get("nearest"), command_line))
     short = _unsafe(document.get("worst_loop"), command_line.units) or grave_warning(document)
     if short:
         return Advice(CAUTION, short, try_it)
     if study is None:
-        return Advice(CAUTION, "it was tried with exact estimates alone", command_line.again(mismatch=0.02))
+        return Advice(CAUTION, "only exact estimates were tried", command_line.again(mismatch=0.02))
     share = 100.0 * study["mismatch"]
-    return Advice(SAFE, f"let go, the {carriage} comes to rest with estimates anywhere within {share:g} %", try_it)
+    return Advice(SAFE, f"the released {carriage} comes to rest with all estimates within {share:g} %", try_it)
 
 
 def simulate(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -440,7 +438,7 @@ def _without_drive(document: Mapping[str, Any], command_line: CommandLine) -> Ad
     text = objection(document)
     if text:
         return Advice(CAUTION, text, None)
-    return Advice(SAFE, "nothing of this runs on a drive", None)
+    return Advice(SAFE, "no part of this runs on a drive", None)
 
 
 def compensate(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
@@ -454,8 +452,8 @@ def compensate(document: Mapping[str, Any], command_line: CommandLine) -> Advice
     if cycle:
         return Advice(CAUTION, cycle, better)
     if not document["kept"] or rms["worst"] > rms["without"]:
-        wrong = "no term does more good than harm with wrong parameters"
-        return Advice(CAUTION, wrong, command("margins", command_line.axis))
+        text = "with wrong parameters the feed-forward does more harm than good"
+        return Advice(CAUTION, text, command("margins", command_line.axis))
     limited = document.get("limited_share") or 0.0
     if limited > 0.0:
         return Advice(CAUTION, f"the command is at its limit {100 * limited:.2g} % of the time", command_line.again())
@@ -464,7 +462,7 @@ def compensate(document: Mapping[str, Any], command_line: CommandLine) -> Advice
         next_step = command("export", f"{command_line.out}/axis.toml", to="c", out=CODE)
     share = rms["worst"] / rms["without"] if rms["without"] else 0.0
     off = 100.0 * document["assumed"]["mismatch"]
-    text = f"the tracking error falls to {100 * share:.2g} % of that without, with every parameter wrong by {off:g} %"
+    text = f"with every parameter wrong by {off:g} %, feed-forward reduces the tracking error to {100 * share:.2g} %"
     return Advice(SAFE, text, next_step)
 
 

@@ -206,8 +206,8 @@ class Units:
     def label(self, text: str) -> str:
         """``text`` in this axis's words, with units in brackets in its own: for plot axes, titles and headings.
 
-        >>> Units(command="duty", command_unit="").label("voltage left to the limit [V]")  # a duty has no unit
-        'duty left to the limit'
+        >>> Units(command="duty", command_unit="").label("voltage margin to the limit [V]")  # a duty has no unit
+        'duty margin to the limit'
         """
         if self.plain:
             return text

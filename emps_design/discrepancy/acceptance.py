@@ -1,9 +1,9 @@
 """When an effect is a finding: it gains more than chance, on most of the selecting strokes, and enough to matter.
 
-The healthy reference says what chance alone gains. The whitened residual of a healthy drive is white noise less what
-refitting the baseline absorbs. The signatures of all effects at all their starts, simulated in closed loop, are
-projected onto resampled noise: the largest gain over all candidates in each resample is the distribution of the gain
-where nothing is missing.
+The healthy reference is the distribution of the gain by chance alone. The whitened residual of a healthy drive is white
+noise without the part that a refit of the baseline absorbs. The signatures of all effects at all their starts,
+simulated in closed loop, are projected onto resampled noise; the largest gain over all candidates in each resample
+gives the distribution of the gain if nothing is missing.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.fit import Fit, refitted
+from emps_design.discrepancy.fit import Fit, refit
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import Floor, usual_rms
 from emps_design.discrepancy.parallel import side_by_side
@@ -29,7 +29,7 @@ Accept = Callable[[Fit, Fit], bool]  # whether the first fit, with one effect mo
 class Healthy:
     """Largest gains (n_resamples,) in whitened cost over all candidates, sorted.
 
-    ``searched``: each gain is that of a simulated healthy record, searched like the measured one.
+    ``searched``: the gains come from simulated healthy records, searched like the measured one.
     """
 
     largest: np.ndarray
@@ -52,20 +52,20 @@ class Healthy:
 
 
 def healthy_reference(screened: list[list[Start]], draws: np.ndarray, seed: int) -> Healthy:
-    """Project resampled noise, circular blocks of ``draws`` (m,), onto the signatures of ``screened``."""
+    """The healthy reference of resampled noise, in circular blocks of ``draws`` (m,), and the starts ``screened``."""
     if not screened:  # no candidate, so no gain by chance
         return Healthy(np.zeros(rules.RESAMPLES))
     generator = np.random.default_rng(seed)
-    signatures = [start.signature for starts in screened for start in starts]  # free of what is absorbed
+    signatures = [start.signature for starts in screened for start in starts]  # orthogonal to the tangent
     halves = [(np.array(signatures[place :: rules.CORES]),) for place in range(min(rules.CORES, len(signatures)))]
     largest, n = np.empty(rules.RESAMPLES), signatures[0].size
-    together = len(signatures)  # which takes no more memory than they do
-    for start in range(0, rules.RESAMPLES, together):
-        some = range(start, min(start + together, rules.RESAMPLES))
-        drawn = [(draws, n, *blocks(draws.size, n, generator)) for _ in some]
+    chunk_size = len(signatures)  # the noise then takes no more memory than the signatures
+    for start in range(0, rules.RESAMPLES, chunk_size):
+        chunk = range(start, min(start + chunk_size, rules.RESAMPLES))
+        drawn = [(draws, n, *blocks(draws.size, n, generator)) for _ in chunk]
         noise = np.array(side_by_side(resampled, drawn))
         gains = side_by_side(lambda half, noise=noise: np.max((noise @ half.T) ** 2, axis=1), halves)
-        largest[some] = np.max(gains, axis=0)
+        largest[chunk] = np.max(gains, axis=0)
     return Healthy(np.sort(largest))
 
 
@@ -76,70 +76,70 @@ def blocks(m: int, n: int, generator: np.random.Generator) -> tuple[np.ndarray, 
 
 
 def resampled(draws: np.ndarray, n: int, begins: np.ndarray, signs: np.ndarray) -> np.ndarray:
-    """``n`` innovations: the circular blocks of ``draws`` (m,) that :func:`blocks` drew."""
-    rings = sliding_window_view(np.resize(draws, draws.size + rules.PIECE), rules.PIECE)
-    return (rings[begins] * signs[:, None]).ravel()[:n]
+    """``n`` innovations: the circular blocks of ``draws`` (m,) chosen by :func:`blocks`."""
+    windows = sliding_window_view(np.resize(draws, draws.size + rules.PIECE), rules.PIECE)
+    return (windows[begins] * signs[:, None]).ravel()[:n]
 
 
 @dataclass(frozen=True)
 class Judge:
-    """The rules applied to a noise floor and a healthy reference."""
+    """The acceptance rules with a noise floor and a healthy reference."""
 
     floor: Floor
     healthy: Healthy
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
-        burst, worth = self._demands(worse)
+        burst, worth = self._requirements(worse)
         gained = float(worse.problem.gather(_changes(better, worse, burst), "used").sum())
         return (
             worse.cost_fit - better.cost_fit > self.healthy.threshold
             and gained > worth * _cost(worse, "used", burst)
             and _gain_repeats(better, worse, burst)
             and share_of_strokes(better, worse, burst) >= rules.MOST
-            and self._faint(better.model) is None
+            and self._negligible(better.model) is None
         )
 
     def to_beat(self, worse: Fit) -> float:
         """Gain on the fitting part [whitened cost] that an effect added to ``worse`` must exceed."""
-        burst, worth = self._demands(worse)
+        burst, worth = self._requirements(worse)
         return max(self.healthy.threshold, worth * _cost(worse, "fit", burst))
 
-    def refitted(self, hypothesis: Hypothesis) -> Fit:
+    def refit(self, hypothesis: Hypothesis) -> Fit:
         """``hypothesis`` fitted to all used samples, without effects whose force is then below the noise."""
-        fitted = refitted(hypothesis)
-        while (faint := self._faint(fitted.model)) is not None:
-            fitted = refitted(fitted.with_model(fitted.model.without(faint)))
+        fitted = refit(hypothesis)
+        while (index := self._negligible(fitted.model)) is not None:
+            fitted = refit(fitted.with_model(fitted.model.without(index)))
         return fitted
 
     def at_floor(self, fitted: Fit) -> bool:
-        """Whether ``fitted`` leaves nothing but noise on both parts."""
+        """Whether the residual of ``fitted`` is only noise on both parts."""
         parts = ("fit", "select")
         quiet = (_cost(fitted, part) <= rules.AT_FLOOR * fitted.problem.samples(part) for part in parts)
         return all(quiet) and not self.leaves_force(fitted)
 
     def leaves_structure(self, fitted: Fit) -> bool:
-        """Whether ``fitted`` leaves more than noise."""
+        """Whether the residual of ``fitted`` is more than noise."""
         if any(effect.channel == "controller" for effect in fitted.model.effects):
-            # The edges of the controller's command are known to one sample; an edge missed by one sample is a burst.
+            # Edges of the controller's command are known to one sample, and an error of one sample makes a burst.
             return self.leaves_unexplained(fitted)
         return self._more_than_noise(fitted, np.inf)
 
     def leaves_unexplained(self, fitted: Fit) -> bool:
-        """Whether ``fitted`` leaves more than noise when bursts, as of play, count little."""
+        """Whether the residual of ``fitted`` is more than noise if bursts, as those of backlash, have little weight."""
         return self._more_than_noise(fitted, rules.BURST)
 
     def _more_than_noise(self, fitted: Fit, burst: float) -> bool:
         cost = _cost(fitted, "used", burst)
         return cost > rules.STRUCTURED * fitted.problem.samples("used") or self.leaves_force(fitted)
 
-    def _demands(self, worse: Fit) -> tuple[float, float]:
+    def _requirements(self, worse: Fit) -> tuple[float, float]:
         """Deviations at which a sample's cost is capped, and the share of the cost that a finding must gain."""
         if self.at_floor(worse):
             return rules.UNUSUAL, rules.WORTH_AT_FLOOR
         return rules.BURST, rules.WORTH
 
-    def _faint(self, model: Candidate) -> int | None:
+    def _negligible(self, model: Candidate) -> int | None:
         """Index of the first effect with a force far below the noise, or a negligible dimensionless amplitude."""
         for index, (effect, values) in enumerate(zip(model.effects, model.values, strict=True)):
             least = {"N": rules.SOME * self.floor.force, "": rules.SLIGHT}
@@ -153,10 +153,10 @@ class Judge:
         return None
 
     def leaves_force(self, fitted: Fit) -> bool:
-        """Whether the remaining force exceeds the noise, however white it looks.
+        """Whether the remaining force exceeds the noise, even if it is white.
 
-        The model of the noise may itself contain structure: that of the residual it was estimated from, or a drift
-        that makes laps differ.
+        The noise model may itself contain structure: that of the residual it was estimated from, or a drift between
+        laps.
         """
         return bool(usual_rms(_remaining_force(fitted)) ** 2 > rules.STRUCTURED * self.floor.force**2)
 
@@ -164,8 +164,8 @@ class Judge:
 def share_of_strokes(better: Fit, worse: Fit, burst: float) -> float:
     """Share of the gains in all gains and losses of the selecting strokes, 0 to 1.
 
-    Weighted by size, because a record may have two selecting strokes only; a loss within chance counts as none. No
-    sample counts more than ``burst`` deviations.
+    Weighted by size, because a record may have only two selecting strokes; a loss that may be chance is not counted.
+    Each sample counts at most ``burst`` standard deviations.
     """
     gains, losses = 0.0, 0.0
     for change, split in zip(_changes(better, worse, burst), better.problem.splits, strict=True):
@@ -193,41 +193,42 @@ def explained(before: float, after: float, floor: float) -> float:
     return 1 - (after**2 - floor**2) / excess if excess > 0 else 0.0
 
 
-def _bulk(fitted: Fit, model: Fit, burst: float) -> tuple[np.ndarray, ...]:
+def _capped_squares(fitted: Fit, model: Fit, burst: float) -> tuple[np.ndarray, ...]:
     """Squared innovations (n,) per record, divided by the noise gain of ``model``, at most ``burst``^2.
 
-    Play that bounces, or an instant missed by one sample, leaves bursts that any effect can change by luck; so does
-    noise that a saturated loop amplifies.
+    Backlash that bounces, an instant that is wrong by one sample, or noise amplified by a saturated loop makes bursts.
+    Any effect may reduce these by chance.
     """
-    pairs = zip(fitted.innovations, model.loudness, strict=True)
-    return tuple(np.minimum((innovations / loudness) ** 2, burst**2) for innovations, loudness in pairs)
+    pairs = zip(fitted.innovations, model.noise_gain, strict=True)
+    return tuple(np.minimum((innovations / gain) ** 2, burst**2) for innovations, gain in pairs)
 
 
 def _cost(fitted: Fit, part: str, burst: float = rules.BURST) -> float:
-    """Cost of ``fitted`` on ``part`` with bursts capped and amplified noise weighted down."""
-    return float(fitted.problem.gather(_bulk(fitted, fitted, burst), part).sum())
+    """Cost of ``fitted`` on ``part``, bursts capped and innovations divided by the noise gain."""
+    return float(fitted.problem.gather(_capped_squares(fitted, fitted, burst), part).sum())
 
 
 def _changes(better: Fit, worse: Fit, burst: float) -> tuple[np.ndarray, ...]:
-    """Cost that ``better`` saves in every sample, (n,) per record."""
-    both = zip(_bulk(worse, worse, burst), _bulk(better, worse, burst), strict=True)
+    """Cost reduction by ``better`` in every sample, (n,) per record."""
+    both = zip(_capped_squares(worse, worse, burst), _capped_squares(better, worse, burst), strict=True)
     return tuple(before - after for before, after in both)
 
 
 def _gain_repeats(better: Fit, worse: Fit, burst: float) -> bool:
-    """Whether the selecting part gains as much as the gain on the fitting part of each record predicts.
+    """Whether the gain on the selecting part is as large as that on the fitting part of each record predicts.
 
-    Or as much as ``better`` changes there, which a true effect gains: one that fades acts less on later strokes.
+    Or as large as the change by ``better`` on the selecting part, which is the gain of a true effect: an effect that
+    fades acts less on later strokes.
     """
     gained = expected = moved = 0.0
     n = better.problem.samples("select")
     changes = _changes(better, worse, burst)
     overall = better.problem.gather(changes, "fit")
-    for split, change, after, before, loudness in zip(
-        better.problem.splits, changes, better.innovations, worse.innovations, worse.loudness, strict=True
+    for split, change, after, before, noise_gain in zip(
+        better.problem.splits, changes, better.innovations, worse.innovations, worse.noise_gain, strict=True
     ):
         gained += float(change[split.select].sum())
-        moved += float(np.sum(np.minimum(((after - before) / loudness)[split.select] ** 2, burst**2)))
+        moved += float(np.sum(np.minimum(((after - before) / noise_gain)[split.select] ** 2, burst**2)))
         fitted = change[split.fit] if split.fit.any() else overall
         expected += float(fitted.mean()) * int(split.select.sum())
     beyond_chance = gained > rules.CHANCE * np.sqrt(2.0 * n)

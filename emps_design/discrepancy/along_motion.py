@@ -1,4 +1,4 @@
-"""Diagnosis along the measured motion, without simulation: fit, select terms by strokes, judge on data not fitted."""
+"""Diagnosis along the measured motion, without simulation: fit, select terms by strokes, judge on held-out data."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from emps_design.axis import BASELINE, Axis, Mechanics
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.balance import (
     Balance,
-    Fitted,
-    Named,
-    Tried,
+    CandidateTerm,
+    FittedModel,
+    NamedEffect,
     candidate_terms,
     named_effects,
-    refuted,
+    refuted_terms,
     select_terms,
-    shares,
+    term_shares,
     terms_of,
 )
 from emps_design.discrepancy.experiment import NextExperiment, varies
@@ -28,12 +28,12 @@ from emps_design.discrepancy.gap import Gap, Prediction
 from emps_design.discrepancy.noise_floor import Floor, Whitening, rms_interval
 from emps_design.discrepancy.placement import extent, where_document
 from emps_design.discrepancy.preparation import (
-    Confirming,
+    HoldOut,
     Interval,
-    between,
     check_records,
     check_same_drive,
-    looked_for_again,
+    dropped_effects_message,
+    samples_within,
     user_choice,
 )
 from emps_design.discrepancy.request import DiagnosisRequest
@@ -52,10 +52,10 @@ from emps_design.quantities import inside, rounded
 from emps_design.records import Record
 from emps_design.records.record import joined
 
-NOISE = "what does not come again with the same motion"
+NOISE = "the part that does not repeat with the motion"
 BALANCED = (
-    "{forces} are balanced along the measured motion and nothing is simulated: of the effects only those are looked "
-    "for that the motion of a moment tells, {looked_for}"
+    "{forces} are balanced along the measured motion, without a simulation: only effects that depend on the present "
+    "motion are looked for, {looked_for}"
 )
 
 
@@ -63,24 +63,24 @@ BALANCED = (
 class BalanceResult:
     """Result of a force ``balance``: the ``baseline`` and the ``extended`` model, and the effects ``named`` in it.
 
-    ``held_out`` are the errors of both models (rows,) [N] on the strokes that ``confirming`` describes, None without;
-    ``other`` is the balance of a held-out record. ``records`` are the user's; ``warnings`` say what they cannot tell.
+    ``held_out`` are the errors (rows,) [N] of both models on the held-out strokes, None without any; ``other`` is the
+    balance of a held-out record. ``records`` are the user's; ``warnings`` say what they do not determine.
     """
 
     records: tuple[Record, ...]
     balance: Balance
-    baseline: Fitted
-    extended: Fitted
-    named: tuple[Named, ...]
-    tried: Sequence[Tried]
-    confirming: Confirming
+    baseline: FittedModel
+    extended: FittedModel
+    named: tuple[NamedEffect, ...]
+    tried: Sequence[CandidateTerm]
+    hold_out: HoldOut
     held_out: tuple[np.ndarray, np.ndarray] | None
     other: Balance | None
     warnings: tuple[Message, ...]
 
     @property
     def unexplained(self) -> Unexplained:
-        """What the extended model leaves, and the part of it that repeats with the motion."""
+        """The residual of the extended model, and the part of it that repeats with the motion."""
         entry = self.extended.identification.extra["unexplained"]
         return Unexplained(entry["share"], entry["structure"], entry["passes"], entry["widening"])
 
@@ -113,7 +113,7 @@ class BalanceResult:
 
 
 def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
-    """The diagnosis that ``outcome`` gives for the machine of ``axis``."""
+    """The diagnosis of the machine of ``axis`` by a force balance with the result ``outcome``."""
     balance, used, units = outcome.balance, outcome.balance.used, axis.units
     before, after = (balance.missing(model) for model in (outcome.baseline, outcome.extended))
     forces = balance.filtered.force[balance.filtered.used]
@@ -126,7 +126,7 @@ def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
     drawn = views(before, after, used, noise, balance.axis, balance.cutoff)
     balanced = BALANCED.format(forces=units.word("forces"), looked_for=_candidate_labels(outcome))
     band = balance.filtered.band_hz
-    too_fast = note("nothing-above-band", f"Nothing above {band:.2g} Hz can be told", band_hz=band)
+    band_limit = note("nothing-above-band", f"Frequencies above {band:.2g} Hz are not analysed", band_hz=band)
     details: dict[str, Any] = {
         "simulation": "inverse model",
         "band_hz": balance.filtered.band_hz,
@@ -134,21 +134,21 @@ def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
         "parameters": _parameters(outcome),
         "not_excluded": [],
         "records": _records(outcome),
-        "held_out": outcome.confirming.to_dict(),
+        "held_out": outcome.hold_out.to_dict(),
         "calibration": (
-            f"A finding must lower the error of strokes that took no part in its fit {TWICE:g} times or more, in one "
-            f"stroke after the other and not by chance, beside all other findings, and by more than {100 * LITTLE:g} % "
-            f"of the {units.word('force')}."
+            f"With all other findings in the model, a finding must reduce the error on strokes outside its fit at "
+            f"least {TWICE:g} times, on stroke after stroke and significantly, and by more than {100 * LITTLE:g} % of "
+            f"the {units.word('force')}."
         ),
         "assumptions": [filled(GAIN_KNOWN, units), filled(ONE_FORCE, units), balanced],
-        "warnings": [*_warnings(outcome), too_fast],
-        "rest": (too_fast,),
+        "warnings": [*_warnings(outcome), band_limit],
+        "rest": (band_limit,),
         "spectrum_over_time": spectrum_over_time(before, units),
         "interrupted": False,
     }
     over: list[str] = []
     if outcome.verdict == "parameters-only":
-        numbers = outcome.extended.model.baseline(_whole(outcome.extended))
+        numbers = outcome.extended.model.baseline(_with_constant_force(outcome.extended))
         details["changed"] = changed(balance.axis.mechanics.array(), numbers, outcome.off, units)
     if outcome.lacks:
         details["unexplained"] = _unexplained(outcome, gap, noise)
@@ -173,15 +173,15 @@ def answer(outcome: BalanceResult, axis: Axis) -> Diagnosis:
 
 
 def _gap(before: np.ndarray, after: np.ndarray) -> Gap:
-    """The gap of two models from their errors (rows,) [N]; an inverse model has no separate 60 Hz figure."""
+    """The gap of two models from their errors (rows,) [N]; both measures of an inverse model are the same."""
     sizes = [float(np.sqrt(np.mean(error**2))) for error in (before, after)]
     ends = [rms_interval(error) for error in (before, after)]
     names = ("baseline", "extended", "baseline_60hz", "extended_60hz")
     return Gap(sizes[0], sizes[1], sizes[0], sizes[1], dict(zip(names, [*ends, *ends], strict=True)))
 
 
-def _finding(outcome: BalanceResult, finding: Named) -> Finding:
-    balance, units = outcome.balance, {p.name: p.unit for p in finding.effect.parameters}
+def _finding(outcome: BalanceResult, finding: NamedEffect) -> Finding:
+    balance, unit_of = outcome.balance, {p.name: p.unit for p in finding.effect.parameters}
     residuals = [balance.residual(model)[balance.filtered.used] for model in (finding.without, outcome.extended)]
     before, after = (float(np.sqrt(np.mean(error**2))) for error in residuals)
     region = extent(balance.record, balance.along(finding.force), balance.used)
@@ -192,7 +192,7 @@ def _finding(outcome: BalanceResult, finding: Named) -> Finding:
         channel=finding.effect.channel,
         where=where,
         parameters={
-            name: {"value": float(value), "std": finding.std[name], "unit": units[name]}
+            name: {"value": float(value), "std": finding.std[name], "unit": unit_of[name]}
             for name, value in finding.parameters.items()
         },
         p_value=finding.chance,
@@ -204,7 +204,7 @@ def _finding(outcome: BalanceResult, finding: Named) -> Finding:
     )
 
 
-def _candidate(candidate: Tried) -> dict[str, Any]:
+def _candidate(candidate: CandidateTerm) -> dict[str, Any]:
     return {
         "effect": candidate.effect.name,
         "label": candidate.effect.label,
@@ -212,18 +212,18 @@ def _candidate(candidate: Tried) -> dict[str, Any]:
         "statistic": candidate.times,
         "threshold": TWICE,
         "accepted": candidate.accepted,
-        "note": "times as large the error of held-out strokes is without it",
+        "note": "factor by which the error on held-out strokes grows without it",
     }
 
 
 def _parameters(outcome: BalanceResult) -> dict[str, Any]:
-    """Baseline parameters of the axis file, fitted alone, and beside the effects; None where not determined."""
+    """Baseline parameters: of the axis file, fitted alone, and fitted with the effects; None if not determined."""
     axis_numbers, table, units = outcome.balance.axis.mechanics.array(), {}, outcome.balance.axis.units
     for place, quantity in enumerate(BASELINE):
         entry = {"unit": units.unit(quantity.unit), "axis": float(axis_numbers[place])}
         for name, fitted in (("baseline", outcome.baseline), ("extended", outcome.extended)):
             determined = quantity.name in fitted.determined
-            value = float(fitted.model.baseline(_whole(fitted))[place]) if determined else None
+            value = float(fitted.model.baseline(_with_constant_force(fitted))[place]) if determined else None
             entry[name] = {"value": value, "std": fitted.deviation(quantity.name) if determined else None}
         table[quantity.name] = entry
     if outcome.balance.friction == ONE_WAY:
@@ -236,17 +236,18 @@ def _parameters(outcome: BalanceResult) -> dict[str, Any]:
     return table
 
 
-def _whole(fitted: Fitted) -> dict[str, float]:
+def _with_constant_force(fitted: FittedModel) -> dict[str, float]:
     return {"constant_force": 0.0, **fitted.parameters}
 
 
 def _axis(outcome: BalanceResult, axis: Axis) -> Axis:
-    """``axis`` with the identified numbers and effects; an undetermined number stays as it was."""
+    """``axis`` with the identified parameters and effects; an undetermined parameter keeps its value."""
     from emps_design.identification.model import identified_effects
 
-    axis_numbers, own = axis.mechanics.array(), outcome.extended.model.baseline(_whole(outcome.extended))
+    axis_numbers = axis.mechanics.array()
+    fitted = outcome.extended.model.baseline(_with_constant_force(outcome.extended))
     determined = [quantity.name in outcome.extended.determined for quantity in BASELINE]
-    numbers = [float(new if known else old) for new, old, known in zip(own, axis_numbers, determined, strict=True)]
+    numbers = [float(new if known else old) for new, old, known in zip(fitted, axis_numbers, determined, strict=True)]
     numbers[0] = max(numbers[0], rules.LEAST_MASS * float(axis_numbers[0]))
     effects = identified_effects(outcome.extended.model, outcome.extended.parameters) if outcome.named else []
     return axis.replace(mechanics=Mechanics.table(numbers), effects=effects)
@@ -254,7 +255,7 @@ def _axis(outcome: BalanceResult, axis: Axis) -> Axis:
 
 def _records(outcome: BalanceResult) -> list[dict[str, Any]]:
     roles = [(record, "train") for record in outcome.records]
-    if outcome.other is not None and outcome.confirming.time is None:
+    if outcome.other is not None and outcome.hold_out.time is None:
         roles.append((outcome.other.record, "holdout"))
     return [{"name": record.name, "role": role, "sha256": record.sha256} for record, role in roles]
 
@@ -270,34 +271,34 @@ def _trace(outcome: BalanceResult) -> Prediction:
         measured - missing[0],
         measured - missing[1],
         balance.used,
-        outcome.confirming.time if outcome.other is not None else None,
+        outcome.hold_out.time if outcome.other is not None else None,
     )
 
 
 def _candidate_labels(outcome: BalanceResult) -> str:
     labels = [inside(candidate.effect.label) for candidate in outcome.tried]
-    return ", ".join(labels) if labels else "none, for fewer than three strokes are between rests"
+    return ", ".join(labels) if labels else "none, because there are fewer than three strokes between rests"
 
 
 def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, Any]:
-    """The contract's ``unexplained``: the residual that repeats with the motion, or all of it where none repeats."""
-    balance, again = outcome.balance, outcome.unexplained.structure > LITTLE
+    """The contract's ``unexplained``: the residual that repeats with the motion, or all of it if none repeats."""
+    balance, repeats = outcome.balance, outcome.unexplained.structure > LITTLE
     missing, used = balance.missing(outcome.extended), balance.used
-    rms = float(np.sqrt(max(gap.extended**2 - noise**2, 0.0))) if again else gap.extended
-    share = min(1.0, rms**2 / max(gap.baseline**2 - (noise**2 if again else 0.0), rms**2, 1e-300))
+    rms = float(np.sqrt(max(gap.extended**2 - noise**2, 0.0))) if repeats else gap.extended
+    share = min(1.0, rms**2 / max(gap.baseline**2 - (noise**2 if repeats else 0.0), rms**2, 1e-300))
     fold = np.arange(len(balance.record)) * 10 // len(balance.record) % 2  # every second tenth of the record
-    shares = depends_on((missing,), (used & (fold == 0),), (missing,), (used & (fold == 1),))
-    over, depends = follows(shares)
+    term_shares = depends_on((missing,), (used & (fold == 0),), (missing,), (used & (fold == 1),))
+    over, depends = follows(term_shares)
     units = balance.axis.units
-    where = where_document(extent(balance.record, missing.force, used, noise if again else 0.0), units)
-    size = f"{units.quantity(rms, 'N', rounded)} rms{' over the noise' if again else ''}"
-    of = f"{100 * outcome.unexplained.share:.2g} % of the {units.word('force')}"
-    text = f"{size}{most_of_it(where)}, where the model leaves {of}; {depends}"
+    where = where_document(extent(balance.record, missing.force, used, noise if repeats else 0.0), units)
+    size = f"{units.quantity(rms, 'N', rounded)} rms{' over the noise' if repeats else ''}"
+    part = f"{100 * outcome.unexplained.share:.2g} % of the {units.word('force')}"
+    text = f"{size}{most_of_it(where)}; the model does not explain {part}; {depends}"
     return {
         "rms": rms,
         "share": share,
         "over": over,
-        "predicted": shares,
+        "predicted": term_shares,
         **where,
         "text": text,
         "place": where["text"],
@@ -310,36 +311,36 @@ def _unexplained(outcome: BalanceResult, gap: Gap, noise: float) -> dict[str, An
 def _warnings(outcome: BalanceResult) -> list[Message]:
     fitted, late = outcome.extended, outcome.balance.clock.samples
     remarks = [*outcome.warnings]
-    # Sampled values and means differ by half a sample; a quarter more is beyond what a record resolves.
+    # Sampled values and means differ by half a sample; a record resolves a quarter of a sample.
     if abs(late) > rules.HALF + rules.QUARTER:
         text = (
-            f"the command was logged {abs(late):.2g} samples {'after' if late > 0 else 'before'} what the motion "
-            "answers to, and is moved by that: less than two samples tell a drive that is late from none of the log's"
+            f"the command is logged {abs(late):.2g} samples too {'late' if late > 0 else 'early'} for the motion, and "
+            "was shifted by that; below two samples a delay of the log looks like a delay of the drive"
         )
         remarks.append(warning("command-late", text, samples=late))
     remarks += [message for message in fitted.identification.warnings if message.code == "not-determined"]
     if fitted.held:
-        text = f"{', '.join(fitted.held)}: held at nothing, for the record asks for less, which no axis has"
+        text = f"{', '.join(fitted.held)}: set to zero, because the fit gives a negative value, which no axis has"
         remarks.append(warning("held-at-nothing", text, parameters=fitted.held))
     unexplained = outcome.unexplained
     if unexplained.share > rules.MINOR and unexplained.structure <= LITTLE:
         text = (
-            f"{100 * unexplained.share:.2g} % of the {outcome.balance.axis.units.word('force')} is left and does not "
-            "come again with the motion: noise of the command, or something that remembers what was before"
+            f"{100 * unexplained.share:.2g} % of the {outcome.balance.axis.units.word('force')} is unexplained and "
+            "does not repeat with the motion: noise of the command, or an effect with memory"
         )
         remarks.append(warning("rest-does-not-repeat", text, share=unexplained.share))
     return remarks
 
 
 def too_slow(records: Sequence[Record]) -> bool:
-    """Whether a record is sampled too slowly for a simulation of its loop to be compared with it."""
+    """Whether a record is sampled too slowly to be compared with a simulation of its loop."""
     return any(record.period > rules.SLOWEST_PERIOD for record in records)
 
 
 def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
     """Diagnose the records of ``request`` by the balance of forces along their motion.
 
-    Raises :class:`InputError` for records that cannot be judged so.
+    Raises :class:`InputError` for records that cannot be judged in this way.
     """
     records, axis, holdout, progress = request.records, request.axis, request.holdout, request.progress
     progress(f"balancing the {axis.units.word('forces')} along the motion", 0.1)
@@ -350,43 +351,43 @@ def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
         warnings += check_records((holdout,), axis, along_motion=True)
     known = axis.replace(effects=[])
     if axis.effects:
-        warnings.append(looked_for_again([entry.effect.name for entry in axis.effects]))
-    parts, kept, confirming = _parts(records, holdout, request.fit_time, request.confirm_time)
+        warnings.append(dropped_effects_message([entry.effect.name for entry in axis.effects]))
+    parts, held_out_record, hold_out = _parts(records, holdout, request.fit_time, request.confirm_time)
     fitted = parts[0] if len(parts) == 1 else joined(parts, axis.units.rotary)
     balance = Balance.of(fitted, known)
     factors = sizes(fitted.q, fitted.u, fitted.period, axis.drive.gain)
-    own = (effect for effect in request.library or () if effect.acts_on(axis.motion))
-    effects = {effect.name: worded(sized(effect, factors), axis.units) for effect in own}
+    library = (effect for effect in request.library or () if effect.acts_on(axis.motion))
+    effects = {effect.name: worded(sized(effect, factors), axis.units) for effect in library}
     baseline = balance.fitted()
-    progress("asking the strokes that take no part", 0.4)
+    progress("testing effects on held-out strokes", 0.4)
     terms = terms_of(axis, effects)
     selected, remarks = select_terms(balance, terms, effects)
     extended = balance.fitted(selected)
-    progress("confirming on data not used so far", 0.8)
-    other = None if kept is None else Balance.of(kept, known, alike=balance)
-    against = refuted(shares(balance, selected, other))
-    for term in against:
+    progress("confirming on held-out data", 0.8)
+    other = None if held_out_record is None else Balance.of(held_out_record, known, alike=balance)
+    withdrawn = refuted_terms(term_shares(balance, selected, other))
+    for term in withdrawn:
         label = inside(effects[terms[term]].label)
-        text = f"{label} fitted the training record and is withdrawn: the confirming data ask for another amount"
+        text = f"{label} is withdrawn: it fits the training record, but the held-out data need another amount of it"
         remarks.append(warning("term-withdrawn", text, term=term))
-    stands = tuple(term for term in selected if term not in against and extended.tells(term))
-    if stands != selected:
-        selected, extended = stands, balance.fitted(stands)
+    confirmed = tuple(term for term in selected if term not in withdrawn and extended.determines(term))
+    if confirmed != selected:
+        selected, extended = confirmed, balance.fitted(confirmed)
     strokes, held_out = balance.strokes, None
     if other is not None:
         held_out = other.strokes.left((), known=strokes), other.strokes.left(selected, known=strokes)
     elif strokes.count >= FEWEST_STROKES:
         held_out = strokes.left(()), strokes.left(selected)
         whole = float(fitted.t[0]), float(fitted.t[-1]) + 0.5 * fitted.period
-        confirming = Confirming(f"the {strokes.count} strokes of {fitted.name}", "in turn", whole)
+        hold_out = HoldOut(f"the {strokes.count} strokes of {fitted.name}", "in turn", whole)
     outcome = BalanceResult(
         records,
         balance,
         baseline,
         extended,
-        named_effects(balance, extended, terms, effects, shares(balance, selected, other)),
+        named_effects(balance, extended, terms, effects, term_shares(balance, selected, other)),
         candidate_terms(balance, terms, selected, effects),
-        confirming,
+        hold_out,
         held_out,
         other,
         tuple(dict.fromkeys([*warnings, *remarks, *_of_records(records)])),
@@ -398,27 +399,29 @@ def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
 
 def _parts(
     records: tuple[Record, ...], holdout: Record | None, fit: Interval | None, confirm: Interval | None
-) -> tuple[list[Record], Record | None, Confirming]:
-    """The records to fit, the record that confirms or None, and its description."""
-    first, confirming = records[0], Confirming("fewer than three strokes are between rests", "none")
-    allowed = [np.ones(len(record), bool) if fit is None else between(record, fit, "`fit_time`") for record in records]
-    kept = holdout
+) -> tuple[list[Record], Record | None, HoldOut]:
+    """The records to fit, the held-out record or None, and its description."""
+    first, hold_out = records[0], HoldOut("fewer than three strokes between rests", "none")
+    allowed = [
+        np.ones(len(record), bool) if fit is None else samples_within(record, fit, "`fit_time`") for record in records
+    ]
+    held_out_record = holdout
     if holdout is not None:
-        confirming = user_choice(holdout)
+        hold_out = user_choice(holdout)
     elif confirm is not None:
-        inside = between(first, confirm, "`confirm_time`")
+        inside = samples_within(first, confirm, "`confirm_time`")
         allowed[0] &= ~inside
-        kept, confirming = _only(first, inside), user_choice(first, confirm)
+        held_out_record, hold_out = _only(first, inside), user_choice(first, confirm)
     parts = [record if mask.all() else _only(record, mask) for record, mask in zip(records, allowed, strict=True)]
-    return parts, kept, confirming
+    return parts, held_out_record, hold_out
 
 
 def _of_records(records: tuple[Record, ...]) -> list[Message]:
-    """Messages on the files, without contradictions, which their check reports, and those of unused references."""
+    """Messages about the files, without contradictions (reported by the check) and without those about ``q_ref``."""
     remarks = [message for record in records for message in record.warnings if message not in record.contradictions]
     return [message for message in remarks if message.values.get("column") != "q_ref"]
 
 
 def _only(record: Record, inside: np.ndarray) -> Record:
-    """``record`` with only the samples ``inside`` (n,) bool taking part."""
+    """``record`` with all samples outside ``inside`` (n,) bool excluded."""
     return replace(record, bridged=np.where(inside, record.in_gap, 1.0))

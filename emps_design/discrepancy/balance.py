@@ -1,18 +1,17 @@
-"""The balance of forces along the measured motion: measured force, a model's force, and the residual.
+"""The balance of forces along the measured motion: measured force, model force, and the residual.
 
-Nothing is simulated, so that no loop has to be known and none can be unstable; the model is the inverse dynamic model
-(5) of ``identify``, at its cut-off, away from rests: mass and friction, and further terms.
+Nothing is simulated, so the control loop need not be known and cannot be unstable. The model is the inverse dynamic
+model (5) of ``identify`` with its cut-off: mass, friction and further terms, fitted where the axis moves.
 
-A term is named where held-out strokes need it beside all others. The test is that of ``identify``, which proposes the
-terms: the error of held-out strokes at least halves, not by chance, and by more than a small part of the force. Two
-more checks follow: the share of the term that held-out strokes want, and the effects that would fit as well.
+A term is named if held-out strokes need it in addition to all other terms. The test is that of ``identify``, which
+proposes the terms: the term at least halves the error on held-out strokes, significantly, and by more than a small
+part of the force. Two checks follow: the share of the term that held-out strokes confirm, and the effects that fit as
+well.
 
-Time shift between the logged command of a record and its motion.
-
-A drive's own record holds a command over the period that follows it. A log that is slower than the drive's loop holds
-samples of both, so that the mean over a period is half a sample nearer; and either signal may be logged a sample late.
-The shift is the one at which a model of the forces along the motion leaves the smallest residual, away from rests and
-reversals. A shift below two samples cannot be told from a delay of the drive.
+The logged command may be shifted in time against the motion. A drive holds a command over the period after its sample.
+A log slower than the drive's loop has samples of both signals, so the mean over a period is half a sample closer, and
+either signal may be logged a sample late. The shift used is the one with the smallest residual of a force model along
+the motion, away from rests and reversals. A shift below two samples cannot be separated from a delay of the drive.
 """
 
 from __future__ import annotations
@@ -49,18 +48,18 @@ SYMMETRIC = "symmetric"
 class CommandLag(NamedTuple):
     """Delay of the logged command against the motion in ``samples`` (negative: early), and its standard deviation.
 
-    ``samples`` is 0 where the delay is not significant; ``std`` then is the remaining uncertainty.
+    If the delay is not significant, ``samples`` is 0 and ``std`` is the remaining uncertainty.
     """
 
     samples: float
     std: float
 
 
-def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> CommandLag:
+def command_lag(record: Record, axis: Axis, friction: str, cutoff: float) -> CommandLag:
     """Delay of the command of ``record`` against its motion.
 
-    The delay minimises the residual below ``cutoff`` [Hz] of a model of mass, ``friction``, the terms possible on
-    ``axis`` and a bent friction. It is 0 where the minimum lies ``rules.CLOCK_RANGE`` off or is not significant.
+    The delay minimises the residual below ``cutoff`` [Hz] of a model with mass, ``friction``, all terms possible on
+    ``axis`` and nonlinear viscous friction. It is 0 if the minimum lies at ``rules.CLOCK_RANGE`` or is not significant.
 
     >>> t = np.arange(4000) * 0.01
     >>> q = np.sin(t) + 0.3 * np.sin(2.7 * t)
@@ -68,53 +67,60 @@ def logged_beside(record: Record, axis: Axis, friction: str, cutoff: float) -> C
     >>> late = Record(t=t, q_ref=q, q=q, u=np.roll(u, 1), period=0.01)
     >>> from emps_design.machines import machine
     >>> axis = machine("emps2019").replace(drive={"force_gain": 1.0}, sampling={"period": 0.01})
-    >>> logged_beside(late, axis, "symmetric", 5.0).samples
+    >>> command_lag(late, axis, "symmetric", 5.0).samples
     1.5
     """
     terms = [term for term in TERMS if axis.units.motion in TERMS[term].motions and term != BENT]
     farthest, step = rules.CLOCK_RANGE, rules.CLOCK_STEP
     whole = range(-farthest - 1, farthest + 2)
-    strokes = [Strokes(filter_record(moved(record, shift), axis, "hold", cutoff), friction) for shift in whole]
+    strokes = [
+        Strokes(filter_record(with_shifted_command(record, shift), axis, "hold", cutoff), friction) for shift in whole
+    ]
     if strokes[0].count < FEWEST_STROKES:
         return CommandLag(0.0, rules.HALF)
-    # Filter and regression are linear, so residuals between two shifts are interpolated as the command is.
-    root = int(np.argmin(np.abs(np.subtract(POWERS, 0.5))))  # stands for all bent friction
+    # Filter and regression are linear, so residuals between two shifts are interpolated like the command.
+    root = int(np.argmin(np.abs(np.subtract(POWERS, 0.5))))  # one exponent is enough for all nonlinear friction
     residuals = np.array([shifted.residual(terms, [shifted.bent[:, root]]) for shifted in strokes])
     shifts = np.round(step * np.arange(-round(farthest / step), round(farthest / step) + 1), 6)
     places = np.minimum(np.floor(shifts).astype(int), farthest - 1)
     parts = [residuals[place + farthest : place + farthest + 4] for place in places]
-    errors = np.array([between(shift - n) @ part for shift, n, part in zip(shifts, places, parts, strict=True)]) ** 2
+    errors = (
+        np.array(
+            [interpolation_weights(shift - n) @ part for shift, n, part in zip(shifts, places, parts, strict=True)]
+        )
+        ** 2
+    )
     total, best = errors.sum(axis=1), int(np.argmin(errors.sum(axis=1)))
-    noise = float(total[best]) / errors.shape[1]  # the rows are as far apart as the filter resolves
-    around = [best - 2, best, best + 2]  # between which the squares follow a parabola
-    if around[0] < 0 or around[2] >= len(shifts):
+    noise = float(total[best]) / errors.shape[1]  # the spacing of the rows is the resolution of the filter
+    points = [best - 2, best, best + 2]  # of a parabola through the sums of squares
+    if points[0] < 0 or points[2] >= len(shifts):
         return CommandLag(0.0, rules.HALF)
-    curvature = float(np.array([1.0, -2.0, 1.0]) @ total[around]) / (2.0 * (2.0 * step) ** 2)
+    curvature = float(np.array([1.0, -2.0, 1.0]) @ total[points]) / (2.0 * (2.0 * step) ** 2)
     std = float(np.clip(np.sqrt(noise / max(curvature, 1e-300)), 0.5 * step, rules.HALF))
     significant = total[len(shifts) // 2] - total[best] > rules.SURE**2 * noise
     return CommandLag(float(shifts[best]) if significant else 0.0, std if significant else rules.HALF)
 
 
-def moved(record: Record, samples: float) -> Record:
-    """``record`` with its command ``samples`` earlier, by cubic interpolation.
+def with_shifted_command(record: Record, samples: float) -> Record:
+    """``record`` with its command shifted ``samples`` earlier, by cubic interpolation.
 
     >>> ramp = np.arange(6.0)
-    >>> moved(Record(t=ramp, q_ref=ramp, q=ramp, u=ramp, period=1.0), 0.5).u[1:4].tolist()
+    >>> with_shifted_command(Record(t=ramp, q_ref=ramp, q=ramp, u=ramp, period=1.0), 0.5).u[1:4].tolist()
     [1.5, 2.5, 3.5]
     """
     if samples == 0.0:
         return record
     whole, places = math.floor(samples), np.arange(len(record))
     taken = [record.u[np.clip(places + whole + offset, 0, len(record) - 1)] for offset in (-1, 0, 1, 2)]
-    return replace(record, u=between(samples - whole) @ np.array(taken))
+    return replace(record, u=interpolation_weights(samples - whole) @ np.array(taken))
 
 
-def between(share: float) -> np.ndarray:
+def interpolation_weights(share: float) -> np.ndarray:
     """Weights (4,) of the samples at -1, 0, 1 and 2 for cubic (Lagrange) interpolation at ``share`` of a sample.
 
-    Linear interpolation would attenuate fast motion, and so the inertia, by a tenth.
+    Linear interpolation would attenuate fast motion, and with it the inertia, by 10 %.
 
-    >>> between(0.5).tolist()
+    >>> interpolation_weights(0.5).tolist()
     [-0.0625, 0.5625, 0.5625, -0.0625]
     """
     x = share
@@ -129,24 +135,24 @@ def between(share: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """A model fitted to a balance: ``model`` with its solution ``value`` (p,), no mass or friction negative.
+class FittedModel:
+    """A model fitted to a balance: ``model`` with its solution ``value`` (p,), mass and friction not negative.
 
-    ``identification`` has the deviations; ``held`` are the names of the parameters that would have been negative;
-    ``moves`` is by how much the uncertainty of the command's clock moves each parameter.
+    ``identification`` has the standard deviations; ``held`` are the names of the parameters held at zero because they
+    would have been negative; ``clock_effects`` is the change of each parameter by one standard deviation of the clock.
     """
 
     identification: Identification
     model: Model
     value: np.ndarray
     held: tuple[str, ...]
-    moves: Mapping[str, float]
+    clock_effects: Mapping[str, float]
 
     @classmethod
-    def of(cls, identification: Identification, beside: Sequence[Filtered]) -> Fitted:
-        """The model of ``identification``, solved again within bounds where a mass or a friction is negative.
+    def of(cls, identification: Identification, beside: Sequence[Filtered]) -> FittedModel:
+        """The model of ``identification``, solved again within bounds if a mass or friction is negative.
 
-        ``beside`` are the forces with the command at either end of the uncertainty of its clock.
+        ``beside`` are the filtered records with the command one standard deviation of its clock earlier and later.
         """
         W, Y, model = identification.series["columns"], identification.series["measured"], identification.fitted
         if model.friction != ONE_WAY and len(model.names) != W.shape[1]:
@@ -168,20 +174,20 @@ class Fitted:
         """The parameters that the record determines."""
         return {name: x for name, x in self.parameters.items() if self.identification.parameters[name].determined}
 
-    def tells(self, term: str) -> bool:
-        """Whether the record determines every number of ``term``."""
+    def determines(self, term: str) -> bool:
+        """Whether the record determines every parameter of ``term``."""
         return all(self.identification.parameters[quantity.name].determined for quantity in TERMS[term].quantities)
 
     def deviation(self, name: str) -> float:
         """Standard deviation of the parameter ``name``, from its 95 % interval and the uncertainty of the clock.
 
-        Of a parameter held at zero, from the part of its interval above zero; 0 where there is none.
+        For a parameter held at zero, from the part of the interval above zero; 0 without an interval.
         """
         ends = self.identification.parameters[name].interval_95
         if ends is None:
             return 0.0
         half = max(ends[1], 0.0) if name in self.held else 0.5 * (ends[1] - ends[0])
-        return float(np.hypot(half / rules.NORMAL, self.moves[name]))
+        return float(np.hypot(half / rules.NORMAL, self.clock_effects[name]))
 
 
 @dataclass(frozen=True)
@@ -205,48 +211,48 @@ class Balance:
 
     @classmethod
     def of(cls, record: Record, axis: Axis, alike: Balance | None = None) -> Balance:
-        """The balance of ``record``, with cut-off and clock of ``alike``, or chosen from the record."""
+        """The balance of ``record``; friction model, cut-off and clock from ``alike``, or chosen from the record."""
         axis = axis.supplied_by(record)
         if alike is None:
             friction = ONE_WAY if goes_one_way(record) else SYMMETRIC
             cutoff = chosen_cutoff(with_acting_command(axis, record)[0])
-            clock = logged_beside(record, axis, friction, cutoff)
+            clock = command_lag(record, axis, friction, cutoff)
         else:
             friction, cutoff, clock = alike.friction, alike.cutoff, alike.clock
         return cls(record, axis, friction, clock, cutoff)
 
     @cached_property
-    def moved(self) -> Record:
-        """The record with its command shifted to when the motion responds."""
-        return moved(self.record, self.clock.samples)
+    def aligned(self) -> Record:
+        """The record with its command shifted to the motion."""
+        return with_shifted_command(self.record, self.clock.samples)
 
     @cached_property
     def filtered(self) -> Filtered:
-        """That record through the filters of ``identify``."""
-        return filter_record(self.moved, self.axis, "hold", self.cutoff)
+        """The aligned record after the filters of ``identify``."""
+        return filter_record(self.aligned, self.axis, "hold", self.cutoff)
 
     @cached_property
     def strokes(self) -> Strokes:
-        """The strokes of the record, each to be predicted from others."""
+        """The strokes of the record, for predictions of each stroke from the others."""
         return Strokes(self.filtered, self.friction, bounded=True)
 
-    def fitted(self, terms: Sequence[str] = ()) -> Fitted:
-        """The model with ``terms`` that leaves least; raises as :func:`~emps_design.identification.identify` does."""
+    def fitted(self, terms: Sequence[str] = ()) -> FittedModel:
+        """Least-squares fit with ``terms``; raises as :func:`~emps_design.identification.identify` does."""
         request = IdentificationRequest(SYMMETRIC, BY_LEAST_SQUARES, cutoff=self.cutoff, with_=tuple(terms) or NO_TERMS)
-        return Fitted.of(identify_by_least_squares(self.moved, self.axis, request), self._beside)
+        return FittedModel.of(identify_by_least_squares(self.aligned, self.axis, request), self._beside)
 
     @cached_property
     def _beside(self) -> list[Filtered]:
         """The filtered record with the command a standard deviation of its clock earlier and later."""
         ends = [self.clock.samples + side * self.clock.std for side in (-1.0, 1.0)]
-        return [filter_record(moved(self.record, end), self.axis, "hold", self.cutoff) for end in ends]
+        return [filter_record(with_shifted_command(self.record, end), self.axis, "hold", self.cutoff) for end in ends]
 
-    def force(self, fitted: Fitted) -> np.ndarray:
-        """Force (rows,) [N] of a model along the motion."""
+    def force(self, fitted: FittedModel) -> np.ndarray:
+        """Model force (rows,) [N] along the motion."""
         return regression(self.filtered, fitted.model)[0] @ fitted.value
 
-    def residual(self, fitted: Fitted) -> np.ndarray:
-        """Measured minus model force (rows,) [N], 0 in rows that take no part."""
+    def residual(self, fitted: FittedModel) -> np.ndarray:
+        """Measured minus model force (rows,) [N], 0 in unused rows."""
         return regression(self.filtered, fitted.model)[1] - self.force(fitted)
 
     def along(self, rows: np.ndarray) -> np.ndarray:
@@ -255,18 +261,18 @@ class Balance:
 
     @cached_property
     def used(self) -> np.ndarray:
-        """The samples (n,) bool that take part."""
+        """The used samples (n,) bool."""
         inside = (self.record.t >= self.filtered.t[0]) & (self.record.t <= self.filtered.t[-1])
         return inside & (self.along(self.filtered.used.astype(float)) > 0.999)
 
-    def missing(self, fitted: Fitted) -> MissingForce:
+    def missing(self, fitted: FittedModel) -> MissingForce:
         """The missing force of a model at the samples of the record."""
         moving = replace(self.filtered.motion, tau=self.along(self.force(fitted)), voltage=self.record.u)
         return MissingForce(moving, self.along(self.residual(fitted)), self.used)
 
 
 def terms_of(axis: Axis, effects: Mapping[str, Effect]) -> dict[str, str]:
-    """The terms that may be named on ``axis``, each with the name of its effect in ``effects``.
+    """The terms possible on ``axis``, each with the name of its effect in ``effects``.
 
     >>> from emps_design.effects import known_effects
     >>> from emps_design.machines import machine
@@ -282,27 +288,27 @@ def terms_of(axis: Axis, effects: Mapping[str, Effect]) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Named:
-    """An ``effect`` that is named, with ``parameters`` and ``std`` by name.
+class NamedEffect:
+    """A named ``effect`` with its ``parameters`` and their standard deviations ``std``, by name.
 
-    ``force`` (rows,) [N] is its force along the motion; ``without`` the model fitted without it. ``chance`` is the
-    p-value of the strokes' errors; ``confirmed`` the share of it that held-out strokes want, with its deviation;
-    ``equivalents`` are the effects that would fit as well.
+    ``force`` (rows,) [N] is its force along the motion; ``without`` is the model fitted without it. ``chance`` is the
+    p-value of the errors on strokes; ``confirmed`` is the share that held-out strokes confirm, with its standard
+    deviation; ``equivalents`` are effects that fit as well.
     """
 
     effect: Effect
     parameters: Mapping[str, float]
     std: Mapping[str, float]
     force: np.ndarray
-    without: Fitted
+    without: FittedModel
     chance: float
     confirmed: Mapping[str, float] | None
     equivalents: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Tried:
-    """A candidate term: ``error`` of held-out strokes [N rms] with it, ``times`` larger without it."""
+class CandidateTerm:
+    """A candidate term: ``error`` [N rms] on held-out strokes with it, and the ratio ``times`` of the error without."""
 
     effect: Effect
     error: float
@@ -313,13 +319,13 @@ class Tried:
 def select_terms(
     balance: Balance, terms: Mapping[str, str], library: Mapping[str, Effect]
 ) -> tuple[tuple[str, ...], list[Message]]:
-    """Those of ``terms`` that the record needs, the most important first, and messages on terms left out.
+    """The ``terms`` that the record needs, the most important first, and messages about rejected terms.
 
-    A term is left out where the strokes prefer another effect of the ``library`` in its place.
+    A term is rejected if another effect of the ``library`` predicts the held-out strokes better in its place.
     """
     if balance.strokes.count < FEWEST_STROKES:
         return (), []
-    proposed = proposed_terms(balance.moved, balance.axis, balance.friction, balance.cutoff)
+    proposed = proposed_terms(balance.aligned, balance.axis, balance.friction, balance.cutoff)
     candidates = [term for term in proposed if term in terms]
     strokes, lost, remarks = balance.strokes, {}, list[Message]()
     whole = strokes.errors(candidates)
@@ -332,8 +338,8 @@ def select_terms(
         ]
         if better:
             text = (
-                f"{inside(effect.label)} would explain much, and {inside(' or '.join(better))} in its place more, of "
-                f"which a balance of {balance.axis.units.word('forces')} finds no numbers: neither is named"
+                f"{inside(effect.label)} would explain much of the residual and {inside(' or '.join(better))} more, "
+                f"but a balance of {balance.axis.units.word('forces')} cannot estimate its parameters: neither is named"
             )
             remarks.append(warning("rival-without-numbers", text, effect=effect.name))
         else:
@@ -341,56 +347,56 @@ def select_terms(
     return tuple(sorted(lost, key=lambda term: -lost[term])), remarks
 
 
-Shares = Mapping[str, Mapping[str, float] | None]  # of each term, the share that held-out data want
+Shares = Mapping[str, Mapping[str, float] | None]  # of each term, the share that held-out data confirm
 
 
-def shares(balance: Balance, terms: Sequence[str], other: Balance | None) -> Shares:
-    """Share of each of ``terms`` that the strokes of ``other`` want, or those of ``balance``, each held out in turn.
+def term_shares(balance: Balance, terms: Sequence[str], other: Balance | None) -> Shares:
+    """Share of each of ``terms`` confirmed by the strokes of ``other``, or by those of ``balance`` held out in turn.
 
-    None where the strokes do not exercise the term.
+    None if the strokes do not excite the term.
     """
     judged, known = (balance.strokes, None) if other is None else (other.strokes, balance.strokes)
     whole = judged.left(terms, known=known)
     return {
-        term: share_asked(judged, whole, judged.left([other for other in terms if other != term], known=known))
+        term: confirmed_share(judged, whole, judged.left([other for other in terms if other != term], known=known))
         for term in terms
     }
 
 
-def share_asked(strokes: Strokes, whole: np.ndarray, without: np.ndarray) -> dict[str, float] | None:
-    """Share of a term that ``strokes`` want, from the prediction errors ``without`` it and with it, ``whole`` (rows,).
+def confirmed_share(strokes: Strokes, whole: np.ndarray, without: np.ndarray) -> dict[str, float] | None:
+    """Share of a term that ``strokes`` confirm, from the errors (rows,) ``without`` it and with it, ``whole``.
 
-    Regression of the error without on the difference of both, with the standard deviation between strokes; None where
-    they hardly differ.
+    Regression of the error without the term on the difference of both, with the standard deviation between strokes;
+    None if they hardly differ.
     """
-    adds = without - whole
-    wanted, size = strokes.by_stroke(adds * without), strokes.by_stroke(adds**2)
-    if size.sum() < rules.SLIGHT**2 * float(np.sum(whole**2)):
+    difference = without - whole
+    products, squares = strokes.by_stroke(difference * without), strokes.by_stroke(difference**2)
+    if squares.sum() < rules.SLIGHT**2 * float(np.sum(whole**2)):
         return None
-    share = float(wanted.sum() / size.sum())
-    return {"share": share, "std": float(np.linalg.norm(wanted - share * size) / size.sum())}
+    share = float(products.sum() / squares.sum())
+    return {"share": share, "std": float(np.linalg.norm(products - share * squares) / squares.sum())}
 
 
-def refuted(wanted: Shares) -> tuple[str, ...]:
-    """The terms whose share is significantly different from 1."""
+def refuted_terms(confirmed: Shares) -> tuple[str, ...]:
+    """The terms whose confirmed share differs significantly from 1."""
 
-    def apart(share: Mapping[str, float]) -> bool:
+    def differs(share: Mapping[str, float]) -> bool:
         return abs(share["share"] - 1.0) > max(rules.SOME, rules.SURE * share["std"])
 
-    return tuple(term for term, share in wanted.items() if share is not None and apart(share))
+    return tuple(term for term, share in confirmed.items() if share is not None and differs(share))
 
 
 def named_effects(
-    balance: Balance, fitted: Fitted, terms: Mapping[str, str], library: Mapping[str, Effect], wanted: Shares
-) -> tuple[Named, ...]:
-    """The effects to name in the model ``fitted``: those of ``terms`` that have a share in ``wanted``."""
+    balance: Balance, fitted: FittedModel, terms: Mapping[str, str], library: Mapping[str, Effect], shares: Shares
+) -> tuple[NamedEffect, ...]:
+    """The effects to name in the model ``fitted``: those of the terms in ``shares``."""
     findings, strokes = [], balance.strokes
-    whole = strokes.errors(tuple(wanted))
-    for term, confirmed in wanted.items():
-        effect, rest = library[terms[term]], [other for other in wanted if other != term]
+    whole = strokes.errors(tuple(shares))
+    for term, confirmed in shares.items():
+        effect, rest = library[terms[term]], [other for other in shares if other != term]
         without, parameters = strokes.errors(rest), effect.estimation.identified_by[term](fitted.parameters)
         findings.append(
-            Named(
+            NamedEffect(
                 effect,
                 parameters,
                 _deviations(effect, term, fitted),
@@ -412,10 +418,10 @@ def equivalents(
     whole: np.ndarray,
     without: np.ndarray,
 ) -> tuple[str, ...]:
-    """Effects of the ``library`` that explain the strokes as well as ``effect`` does, beside the terms ``rest``.
+    """Effects of the ``library`` that explain the strokes as well as ``effect``, in addition to the terms ``rest``.
 
-    ``whole`` and ``without`` (strokes,) are the errors with the effect and without it; an equivalent gains nearly all
-    of the difference.
+    ``whole`` and ``without`` (strokes,) are the errors with and without the effect; an equivalent closes nearly all of
+    the difference.
     """
     most = float(whole.sum()) + rules.EQUIVALENT * float(without.sum() - whole.sum())
     rivals = _rivals(balance, effect, rest, library)
@@ -429,9 +435,9 @@ def equivalents(
 def _rivals(
     balance: Balance, effect: Effect, rest: Sequence[str], library: Mapping[str, Effect]
 ) -> dict[str, np.ndarray]:
-    """Errors (strokes,) with each confusable effect in the place of ``effect``, beside the terms ``rest``.
+    """Errors (strokes,) with each confusable effect in the place of ``effect``, in addition to the terms ``rest``.
 
-    Each in its best shape; general curves are left out, because they could replace anything.
+    Each effect has its best shape; general curves are excluded, because they can imitate any effect.
     """
     strokes, errors = balance.strokes, {}
     for name, rival in library.items():
@@ -456,8 +462,8 @@ def _columns(balance: Balance, effect: Effect) -> Iterator[list[np.ndarray]]:
 
 def candidate_terms(
     balance: Balance, terms: Mapping[str, str], selected: Sequence[str], library: Mapping[str, Effect]
-) -> list[Tried]:
-    """The candidates, best first: each of ``terms`` beside those ``selected``."""
+) -> list[CandidateTerm]:
+    """The candidates, best first: each of ``terms`` in addition to those ``selected``."""
     if balance.strokes.count < FEWEST_STROKES:
         return []
     rows = []
@@ -467,24 +473,24 @@ def candidate_terms(
             [other for other in selected if other != term],
         )
         error, more = (float(np.sqrt(np.mean(balance.strokes.left(model) ** 2))) for model in (whole, without))
-        rows.append(Tried(library[name], error, more / max(error, 1e-300), term in selected))
+        rows.append(CandidateTerm(library[name], error, more / max(error, 1e-300), term in selected))
     return sorted(rows, key=lambda row: -row.times)
 
 
-def _deviations(effect: Effect, term: str, fitted: Fitted) -> dict[str, float]:
+def _deviations(effect: Effect, term: str, fitted: FittedModel) -> dict[str, float]:
     """Standard deviations of the effect's parameters, propagated from the identified ones by finite differences."""
     numbers = fitted.parameters
     square = dict.fromkeys(effect.estimation.identified_by[term](numbers), 0.0)
     for name, value in numbers.items():
         std = fitted.deviation(name)
         ends = [effect.estimation.identified_by[term]({**numbers, name: value + side * std}) for side in (0.5, -0.5)]
-        for own in square:
-            square[own] += (ends[0][own] - ends[1][own]) ** 2
-    return {own: float(np.sqrt(total)) for own, total in square.items()}
+        for parameter in square:
+            square[parameter] += (ends[0][parameter] - ends[1][parameter]) ** 2
+    return {parameter: float(np.sqrt(total)) for parameter, total in square.items()}
 
 
 def _force(balance: Balance, effect: Effect, term: str, parameters: Mapping[str, float]) -> np.ndarray:
-    """Force (rows,) [N] of the effect along the motion; of bent friction the part that no straight line fits."""
+    """Force (rows,) [N] of the effect along the motion; of nonlinear friction the part that no linear friction fits."""
     assert effect.regressor is not None
     motion = balance.filtered.motion
     shape = {name: parameters[name] for name in effect.shape}

@@ -1,14 +1,14 @@
-"""The second stage: the fitted baseline, the noise it is judged by, and the gain that chance alone reaches.
+"""The second stage: the fitted baseline, its noise level, and the gain that chance alone reaches.
 
-Where no reference repeats, the noise is what a regression on the other strokes does not predict of a stroke. Its
-columns are the changes in force by the baseline's numbers and, where they help, by the starts of each effect and by
-smooth functions of the simulated state and its past. It is fitted without one stroke and judged on that stroke, in
-turn, so that it cannot fit noise. The remainder is the noise and the structure that no column follows: far less than
-the residual of the baseline alone.
+If no reference repeats, the noise is the part of a stroke that a regression on the other strokes does not predict. The
+regressors are the changes in force by the baseline parameters and, if they help, by the starts of each effect and by
+smooth functions of the simulated state and its past. The regression is fitted without one stroke and evaluated on that
+stroke, for each stroke in turn, so that it cannot fit noise. The remainder is noise and structure outside the span of
+the regressors, far less than the residual of the baseline alone.
 
-The healthy reference may be simulated: :mod:`~emps_design.discrepancy.acceptance` projects resampled noise onto
-signatures, which is fast and ignores that proposals, too, adapt to the noise. :func:`healthy_runs` simulates the fitted
-baseline with resampled noise on its voltage, and searches each of these records like the measured one.
+For the healthy reference, :mod:`~emps_design.discrepancy.acceptance` projects resampled noise onto signatures. That is
+fast, but ignores that proposals adapt to the noise as well. :func:`healthy_runs` simulates the fitted baseline with
+resampled noise on its voltage instead, and searches each of these records like the measured one.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from emps_design.simulation import Plant
 FitsBySet = dict[frozenset[str], Fit]
 
 
-def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
+def unpredicted_force(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, ...]:
     """Force [N] of the used samples that the other strokes do not predict, (n_used,) per record.
 
-    ``fitted`` is the baseline, judged without whitening: its innovations are forces.
+    ``fitted`` is the baseline without whitening: its innovations are forces.
     """
     problem = fitted.problem
-    rows = _evenly(problem.strokes("used"))
+    rows = _thinned(problem.strokes("used"))
     kept = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
     adjusted = tangent(fitted, "used")
     base = adjusted.whole[kept]
@@ -71,8 +71,8 @@ def unpredicted(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndarray, .
     return tuple(part for part in np.split(residual, np.searchsorted(kept, records[:-1])) if part.size)
 
 
-def _evenly(strokes: list[slice]) -> list[slice]:
-    """``strokes`` thinned evenly, so that the regression of a long record stays small."""
+def _thinned(strokes: list[slice]) -> list[slice]:
+    """Every n-th of ``strokes``, with at most ``rules.MOST_REGRESSED`` samples in all."""
     samples = sum(stroke.stop - stroke.start for stroke in strokes)
     return strokes[:: max(1, -(-samples // rules.MOST_REGRESSED))]
 
@@ -80,15 +80,15 @@ def _evenly(strokes: list[slice]) -> list[slice]:
 def _unpredicted_by_others(
     known: np.ndarray, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]
 ) -> np.ndarray:
-    """``force`` (n,) [N] less the prediction of each stroke from all others.
+    """``force`` (n,) [N] minus the prediction of each stroke from all others.
 
-    The columns (n, k) are ``known`` and, group by group, those of ``groups``: each time the group that leaves least,
-    as long as it reduces the residual clearly.
+    Forward selection: the columns (n, k) are ``known`` and, one after the other, the group of ``groups`` with the
+    smallest residual, as long as that is clearly smaller.
     """
     regression = _Regression([known, *groups], force, strokes)
     edges = np.cumsum([0, known.shape[1], *(group.shape[1] for group in groups)])
-    own, *others = (np.arange(start, stop) for start, stop in pairwise(edges))
-    best = regression.best(own)
+    first, *others = (np.arange(start, stop) for start, stop in pairwise(edges))
+    best = regression.best(first)
     while others:
         trials = side_by_side(regression.best, [(np.concatenate([best.columns, other]),) for other in others])
         place = int(np.argmin([trial.squares for trial in trials]))
@@ -100,7 +100,7 @@ def _unpredicted_by_others(
 
 
 class _Predictor(NamedTuple):
-    """Indices of ``columns``, with the ``ridge`` of the least sum of ``squares`` on held-out strokes."""
+    """Indices of ``columns``, and the ``ridge`` with the smallest sum of ``squares`` on held-out strokes."""
 
     columns: np.ndarray
     ridge: float
@@ -108,10 +108,7 @@ class _Predictor(NamedTuple):
 
 
 class _Regression:
-    """Leave-one-stroke-out regression of a force (n,) on ``groups`` of columns (n, k).
-
-    Computed from the sums of products of each stroke.
-    """
+    """Leave-one-stroke-out regression of a force (n,) on ``groups`` of columns (n, k), from sums of products."""
 
     def __init__(self, groups: list[np.ndarray], force: np.ndarray, strokes: list[slice]) -> None:
         self.groups, self.force, self.strokes = groups, force, strokes
@@ -120,40 +117,41 @@ class _Regression:
         self.power = float(force @ force)
 
     def best(self, columns: np.ndarray) -> _Predictor:
-        """``columns`` with the best of ``rules.RIDGES``."""
-        own, along = self.squares[:, columns[:, None], columns], self.products[:, columns]
+        """The predictor with ``columns`` and the best of ``rules.RIDGES``."""
+        squares, products = self.squares[:, columns[:, None], columns], self.products[:, columns]
         costs = []
         for ridge in rules.RIDGES:
-            x = self._coefficients(own, along, ridge)
-            costs.append(self.power + float(np.einsum("si,sij,sj", x, own, x) - 2.0 * np.sum(x * along)))
+            x = self._coefficients(squares, products, ridge)
+            costs.append(self.power + float(np.einsum("si,sij,sj", x, squares, x) - 2.0 * np.sum(x * products)))
         least = int(np.argmin(costs))
         return _Predictor(columns, rules.RIDGES[least], costs[least])
 
     def residual(self, predictor: _Predictor) -> np.ndarray:
         """Force (n,) [N] that ``predictor`` does not predict."""
-        own, along = self.squares[:, predictor.columns[:, None], predictor.columns], self.products[:, predictor.columns]
-        coefficients = self._coefficients(own, along, predictor.ridge)
+        columns = predictor.columns
+        squares, products = self.squares[:, columns[:, None], columns], self.products[:, columns]
+        coefficients = self._coefficients(squares, products, predictor.ridge)
 
-        def along_one(stroke: slice, x: np.ndarray) -> np.ndarray:
-            return self.force[stroke] - self._columns(stroke)[:, predictor.columns] @ x
+        def residual_of(stroke: slice, x: np.ndarray) -> np.ndarray:
+            return self.force[stroke] - self._columns(stroke)[:, columns] @ x
 
-        return np.concatenate(side_by_side(along_one, zip(self.strokes, coefficients, strict=True)))
+        return np.concatenate(side_by_side(residual_of, zip(self.strokes, coefficients, strict=True)))
 
     def _columns(self, stroke: slice) -> np.ndarray:
         """All columns along one stroke."""
         return np.column_stack([group[stroke] for group in self.groups])
 
     def _sums(self, stroke: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Squares (k, k) of the columns along one stroke, and their products (k,) with the force."""
+        """Gram matrix (k, k) of the columns along one stroke, and their products (k,) with the force."""
         columns = self._columns(stroke)
         return columns.T @ columns, columns.T @ self.force[stroke]
 
     @staticmethod
-    def _coefficients(own: np.ndarray, along: np.ndarray, ridge: float) -> np.ndarray:
+    def _coefficients(squares: np.ndarray, products: np.ndarray, ridge: float) -> np.ndarray:
         """Coefficients (strokes, k) fitted to all strokes but one."""
-        square = own.sum(axis=0)
-        keep = ridge * np.trace(square) / len(square) * np.eye(len(square))
-        return np.linalg.solve(square - own + keep, (along.sum(axis=0) - along)[:, :, None])[:, :, 0]
+        total = squares.sum(axis=0)
+        penalty = ridge * np.trace(total) / len(total) * np.eye(len(total))
+        return np.linalg.solve(total - squares + penalty, (products.sum(axis=0) - products)[:, :, None])[:, :, 0]
 
 
 def healthy_runs(
@@ -187,12 +185,12 @@ def _healthy_records(baseline: Fit, floor: Floor, generator: np.random.Generator
 
 
 def set_of(fitted: Fit) -> frozenset[str]:
-    """The effects of ``fitted``, whatever their order."""
+    """The names of the effects of ``fitted``, regardless of their order."""
     return frozenset(fitted.model.names)
 
 
-def remembered(tried: FitsBySet, fits: Iterable[Fit]) -> FitsBySet:
-    """``tried`` and ``fits``, the best fit of each set of effects."""
+def best_of_each_set(tried: FitsBySet, fits: Iterable[Fit]) -> FitsBySet:
+    """The best fit of each set of effects in ``tried`` and ``fits``."""
     best = dict(tried)
     for fitted in fits:
         key = set_of(fitted)
@@ -203,15 +201,15 @@ def remembered(tried: FitsBySet, fits: Iterable[Fit]) -> FitsBySet:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A search for effects, from its baseline to what it has found: what every later stage is given.
+    """The state of a search for effects, which is the input of all later stages.
 
-    It is judged under the noise of ``floor`` and by what ``healthy`` records gain; ``screened`` are the starts on top
-    of the baseline. ``path`` are the best models one after the other, the baseline first; ``tried`` are the best
+    Findings are judged by the noise of ``floor`` and by the gains of ``healthy`` records; ``screened`` are the starts
+    that extend the baseline. ``path`` are the successive best models, the baseline first; ``tried`` are the best
     admissible fits by their sets of effects; ``gains`` [whitened cost] are those of each effect alone in the first
-    round. ``most`` effects are added; ``beam`` are the sets to extend, ``closed`` the moves that lead nowhere from the
-    best model, and ``detours`` the number taken. ``interrupted``: by the user, before the search had ended;
-    ``warnings`` are those of this search and of the searches it replaced; ``of_a_kind`` is an unknown force that
-    explains what a few effects leave, or None.
+    round. At most ``most`` effects are added; ``beam`` are the sets to extend, ``closed`` the moves that failed from
+    the best model, and ``detours`` the number of detours made. ``interrupted``: the user ended the search;
+    ``warnings`` are those of this search and of the searches it replaced; ``unknown_force`` is an unknown force that
+    explains the residual of a few effects, or None.
     """
 
     preparation: Preparation
@@ -227,11 +225,11 @@ class Outcome:
     detours: int = 0
     interrupted: bool = False
     warnings: tuple[Message, ...] = ()
-    of_a_kind: OfAKind | None = None
+    unknown_force: UnknownForce | None = None
 
     @property
     def baseline(self) -> Fit:
-        """The model that the search began with."""
+        """The model from which the search started."""
         return self.path[0]
 
     @property
@@ -241,7 +239,7 @@ class Outcome:
 
     @property
     def judge(self) -> Judge:
-        """The judge of findings under this noise and healthy reference."""
+        """The acceptance rules with this noise floor and healthy reference."""
         return Judge(self.floor, self.healthy)
 
     def accepts(self, better: Fit) -> bool:
@@ -249,7 +247,7 @@ class Outcome:
         return self.judge.accepts(better, self.best)
 
     def count_of(self, fitted: Fit) -> int:
-        """Number of effects of ``fitted``, without those known from the controller's law."""
+        """Number of effects of ``fitted``, not counting those known from the controller's law."""
         return len(fitted.model.effects) - len(self.baseline.model.effects)
 
     @property
@@ -259,35 +257,35 @@ class Outcome:
 
     @property
     def alone(self) -> dict[str, float]:
-        """The gain of each effect alone [whitened cost], to first order where no round began at the baseline."""
+        """The gain of each effect alone [whitened cost]; to first order if no round started from the baseline."""
         return self.gains or {starts[0].model.names[-1]: starts[0].gain for starts in self.screened}
 
-    def knowing(self, fits: Iterable[Fit], gains: dict[str, float] | None = None) -> Outcome:
+    def with_fits(self, fits: Iterable[Fit], gains: dict[str, float] | None = None) -> Outcome:
         """The same search with ``fits`` among those tried, and the ``gains`` of its first round."""
-        return replace(self, tried=remembered(self.tried, fits), gains=self.gains or gains or {})
+        return replace(self, tried=best_of_each_set(self.tried, fits), gains=self.gains or gains or {})
 
-    def further(self, beam: Sequence[Fit], detour: bool = False, closed: frozenset[str] = frozenset()) -> Outcome:
-        """The search at the first of ``beam``; the moves ``closed`` lead nowhere from there."""
+    def advanced(self, beam: Sequence[Fit], detour: bool = False, closed: frozenset[str] = frozenset()) -> Outcome:
+        """The search with the first of ``beam`` as best model; the moves ``closed`` cannot succeed from there."""
         path, detours = (*self.path, beam[0]), self.detours + detour
         return replace(self, path=path, beam=tuple(beam), closed=closed, detours=detours)
 
     @property
     def ended_early(self) -> bool:
-        """Whether the search ended at an unknown force that explains what a few effects leave."""
-        return self.of_a_kind is not None and self.of_a_kind.is_plain
+        """Whether the search ended at an unknown force that explains the residual of a few effects."""
+        return self.unknown_force is not None and self.unknown_force.is_sufficient
 
     @property
     def stopped(self) -> bool:
         """Whether the search stopped at an unknown force and is to be finished."""
-        return self.of_a_kind is not None and not self.of_a_kind.is_plain
+        return self.unknown_force is not None and not self.unknown_force.is_sufficient
 
 
 @dataclass(frozen=True)
-class OfAKind:
+class UnknownForce:
     """An unknown force of one ``kind`` of ``unknown_force.KINDS``.
 
-    ``search`` is one beside it, and ``fitted`` its best model, maybe without effects, fitted to all used samples with
-    the force in the loop: both leave next to nothing of what the model ``start`` leaves.
+    ``search`` is a search with this force, and ``fitted`` its best model, possibly without effects, fitted to all used
+    samples with the force in the loop. Together they explain nearly all of the residual of the model ``start``.
     """
 
     kind: Kind
@@ -296,24 +294,24 @@ class OfAKind:
     fitted: Fit
 
     @property
-    def is_plain(self) -> bool:
+    def is_sufficient(self) -> bool:
         """Whether it explains so much, with few effects, that further effects would only imitate it.
 
-        Many effects and a force may as well be effects only.
+        With many effects the force may itself imitate effects.
         """
         few = self.search.count_of(self.fitted) <= rules.FEW
         return few and self.start.excess() >= rules.PLAIN * self.start.problem.samples("used")
 
 
 def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
-    """Fit the baseline by plain least squares, and read the noise from its residual: by laps, or by other strokes."""
-    # Kernels are compiled here: simulations run side by side from now on, and must not compile the same one twice.
+    """The baseline fitted by ordinary least squares, and its noise floor, from laps or from predictions of strokes."""
+    # Kernels are compiled here: simulations run in parallel from now on, and must not compile the same one twice.
     effects = [(effect, np.zeros(len(effect.parameters))) for effect in preparation.library]
     Plant(preparation.start.problem.axis, effects)
     rough = fit(preparation.start)
     floor = floor_of_laps(rough.residuals(), rough.problem.splits, rough.problem.period)
     if floor is None:
-        residuals = unpredicted(rough, preparation.library)
+        residuals = unpredicted_force(rough, preparation.library)
         floor = floor_of_residual(residuals, rough.problem.period, STROKES)
     return rough, floor
 
@@ -321,9 +319,9 @@ def first_noise(preparation: Preparation) -> tuple[Hypothesis, Floor]:
 def calibrate(
     preparation: Preparation, start: Hypothesis, floor: Floor, seed: int, runs: int, progress: Progress
 ) -> Outcome:
-    """The search that begins with a baseline fitted from ``start`` under the noise of ``floor``.
+    """The start of a search: a baseline fitted from ``start`` with the noise of ``floor``, and its healthy reference.
 
-    Its healthy reference is simulated on ``runs`` records; with 0 it is linearised: resampled noise on signatures.
+    The healthy reference is simulated on ``runs`` records, or with 0 computed from resampled noise on signatures.
     """
     progress("healthy reference", 0.0)
     weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
@@ -335,10 +333,10 @@ def calibrate(
     healthy = healthy_reference(screened, floor.draws, seed)
     if runs:
         try:
-            report = partial(progress, "healthy records, each searched")
+            report = partial(progress, "searching simulated healthy records")
             healthy = healthy_runs(baseline, preparation.library, floor, runs, seed, report)
         except KeyboardInterrupt:
-            text = "interrupted: calibrated on resampled noise, not on healthy records searched"
+            text = "interrupted: calibrated on resampled noise instead of simulated healthy records"
             warnings = (warning("calibration-interrupted", text),)
-    tried = remembered({}, [baseline])
+    tried = best_of_each_set({}, [baseline])
     return Outcome(preparation, floor, healthy, screened, (baseline,), tried, warnings=warnings)

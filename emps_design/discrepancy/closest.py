@@ -1,7 +1,7 @@
 """The model that follows the records most closely, also with effects that are no findings.
 
-A search ends where nothing more is a finding. To simulate the machine rather than explain it, any effect helps that
-predicts more of the strokes not fitted. The model is judged on the confirming data beside the named one.
+A search ends when no further effect is a finding. To simulate the machine rather than explain it, any effect is useful
+that predicts more of the strokes not fitted. The model is compared with the named one on the held-out data.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from emps_design.effects import Effect
 from emps_design.quantities import inside, rounded
 
 FILE = "closest_model.toml"
-UNNEEDED = "what the model leaves is noise: nothing could follow the records more closely"
+UNNEEDED = "the residual of the model is noise: no model can follow the records more closely"
 
 
 def describe(current: Fit, library: tuple[Effect, ...]) -> Fit:
     """``current`` with effects of ``library`` that reduce the residual of fitting and selecting strokes, fitted to all.
 
-    Only curves over position and velocity, and memories of the path since a reversal.
+    The effects are curves over position and velocity, and functions of the path since a reversal.
     """
     describing = tuple(effect for effect in library if _describes(effect))
     for _ in describing:
@@ -47,13 +47,13 @@ def describe(current: Fit, library: tuple[Effect, ...]) -> Fit:
 
 
 def _describes(effect: Effect) -> bool:
-    """Whether ``effect`` is a curve over the state or a memory of the path, without contacts and further lines."""
+    """Whether ``effect`` is a function of state or path, without contacts and not a further line of another effect."""
     over_state = effect.over in ("q", "v") or effect.solver.by_travel
     return effect.channel == "plant" and over_state and effect.solver.guard is None and not effect.search.after
 
 
 def _closer(more: Fit, less: Fit) -> bool:
-    """Whether ``more`` leaves less than ``less`` of fitting and of selecting strokes, and clearly less of all."""
+    """Whether ``more`` has a lower cost than ``less`` on fitting and selecting strokes, and a clearly lower sum."""
     both = more.cost_fit < less.cost_fit and more.cost_select < less.cost_select
     return both and more.cost < (1 - rules.WORTH_DESCRIBING) * less.cost
 
@@ -62,9 +62,9 @@ def _closer(more: Fit, less: Fit) -> bool:
 class Closest:
     """An ``axis`` whose simulation follows the records more closely than the named model's, and by how much.
 
-    ``effects`` are the labels of its effects that the named model lacks. Where there is no such model, ``axis`` is None
+    ``effects`` are the labels of its effects that the named model lacks. If there is no such model, ``axis`` is None
     and ``text`` says why. ``train`` and ``holdout`` have its force error as ``extended``; ``share`` is the force error
-    over the rms of the motor force on the record that judges.
+    divided by the rms motor force, on the held-out or else the training record.
     """
 
     text: str
@@ -86,7 +86,7 @@ class Closest:
 
 
 def closest_of(validation: Validation) -> Closest:
-    """The model that follows most closely, where it leaves less of the judging data than the named model."""
+    """The model that follows the records most closely, if its error on the held-out data is below the named model's."""
     outcome, named = validation.outcome, validation.extended
     judge = outcome.judge
     if not judge.leaves_structure(named):
@@ -101,19 +101,19 @@ def closest_of(validation: Validation) -> Closest:
     judged, before = held_out or train, validation.held_out or validation.train
     where = "training" if held_out is None else "held-out"
     units = problem.axis.units
-    left, instead = (units.quantity(gap.extended, "N", partial(rounded, places=3)) for gap in (judged.gap, before.gap))
-    errors = f"{left} instead of {instead} of the {where} {units.word('force')}"
+    error, instead = (units.quantity(gap.extended, "N", partial(rounded, places=3)) for gap in (judged.gap, before.gap))
+    errors = f"the {where} {units.word('force')} error is {error} instead of {instead}"
     if judged.gap.extended >= before.gap.extended:
-        return Closest(f"curves over position, velocity and path follow no more closely: they leave {errors}")
+        return Closest(f"curves over position, velocity and path follow the records no more closely: {errors}")
     more = tuple(dict.fromkeys(label_of(name, units) for name in model.names if name not in named.model.names))
     added = ", ".join(map(inside, more)) or "other numbers"
-    text = f"with {added} the simulation leaves {errors}; that describes the machine, and names no cause"
+    text = f"with {added} {errors}; this describes the machine without naming a cause"
     axis = judged.extended.to_axis(problem.axis)
     return Closest(text, axis, more, train.gap, None if held_out is None else held_out.gap, _share(judged))
 
 
 def _share(judged: GapComparison) -> float:
-    """Force error of the closed loop over the rms of the motor force, on the used samples of the judging record."""
+    """Force error of the closed loop divided by the rms motor force, on the used samples of the compared record."""
     prediction = judged.prediction
     error = (prediction.measured - prediction.extended)[prediction.used]
     return float(np.linalg.norm(error) / np.linalg.norm(prediction.measured[prediction.used]))

@@ -1,13 +1,13 @@
 """The experiment to run next: excitations within the limits of the records, and the one that separates rival models.
 
-Every excitation is a reference ``q_ref`` (n,) [m] at the record's period that begins and ends at rest where the record
-began, lasts ten to thirty seconds on an ordinary axis, and stays within the positions, speeds, accelerations and jerks
-of the record. The order of its strokes leaves some of every kind to fit and some to select (every third one).
+Every excitation is a reference ``q_ref`` (n,) [m] at the period of the record. It starts and ends at rest at the first
+position of the record, lasts ten to thirty seconds on an ordinary axis, and stays within the positions, speeds,
+accelerations and jerks of the record. Strokes of every kind are in the fitting and in the selecting part (every third).
 
 The best excitation is the one on which the rival models differ most. Each rival is simulated on each excitation as the
-machine, and another is fitted to that simulation, its parameters held by their covariance from the records. The
-whitened residual has a length D in standard deviations of the noise: on a real record of that excitation the wrong
-model will cost D^2 +- 2 D more than the right one.
+machine, and another is fitted to that simulation, with the covariance from the records as prior of its parameters. The
+whitened residual has a length D in standard deviations of the noise: on a real record of that excitation the cost of
+the wrong model will exceed that of the right one by D^2 +- 2 D.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ EXPERIMENTS = {  # the excitation that varies one quantity and little else
 
 @dataclass(frozen=True)
 class Envelope:
-    """What an excitation may use: positions ``low`` to ``high`` [m], ``speed`` [m/s], ``acceleration`` [m/s^2],
-    ``jerk`` [m/s^3]; it starts from rest at ``home`` [m] and is sampled every ``period`` [s].
+    """Limits of an excitation: positions ``low`` to ``high`` [m], ``speed`` [m/s], ``acceleration`` [m/s^2], ``jerk``
+    [m/s^3]; it starts from rest at ``home`` [m] and is sampled every ``period`` [s].
 
-    ``follows`` (n,) -> (n,) is the gain from reference to position at angular frequencies [rad/s]. The reference may be
-    larger by its inverse: the limits are those of the machine, not of its reference.
+    ``follows`` (n,) -> (n,) is the gain from reference to position at angular frequencies [rad/s]. The limits are those
+    of the machine: the reference may exceed them by the inverse of this gain.
     """
 
     period: float
@@ -69,23 +69,24 @@ class Envelope:
     def of(cls, records: Iterable[Record]) -> Envelope:
         """The envelope of ``records``, with a margin.
 
-        Speed and acceleration are the smaller of the reference's and the measured ones below 60 Hz: no machine follows
-        a reference that jumps.
+        Speed and acceleration are the smaller of those of the reference and those measured below 60 Hz, because a
+        machine does not follow a reference with steps.
         """
         from emps_design.identification.filters import motion
 
         records = tuple(records)
         period = records[0].period
         commanded = [np.diff(r.q_ref) / period for r in records]
-        moved = [motion(r, rules.CUTOFF_HZ) for r in records]
+        motions = [motion(r, rules.CUTOFF_HZ) for r in records]
         low, high = min(float(r.q.min()) for r in records), max(float(r.q.max()) for r in records)
         return cls(
             period=period,
             home=float(records[0].q_ref[0]),
             low=low + rules.NEGLIGIBLE * (high - low),
             high=high - rules.NEGLIGIBLE * (high - low),
-            speed=rules.NEARLY_ALL * min(_top(commanded), _top(m.v for m in moved)),
-            acceleration=rules.NEARLY_ALL * min(_top(np.diff(v) / period for v in commanded), _top(m.a for m in moved)),
+            speed=rules.NEARLY_ALL * min(_top(commanded), _top(m.v for m in motions)),
+            acceleration=rules.NEARLY_ALL
+            * min(_top(np.diff(v) / period for v in commanded), _top(m.a for m in motions)),
             jerk=rules.NEARLY_ALL * _top(np.diff(v, 2) / period**2 for v in commanded),
         )
 
@@ -96,7 +97,7 @@ class Envelope:
 
     @property
     def far(self) -> float:
-        """Position [m] of the far end of a stroke from ``low`` that takes no longer than 2.5 s or so."""
+        """Position [m] of the far end of a stroke from ``low`` that takes about 2.5 s or less."""
         return self.low + min(self.travel, 2.5 * self.speed)
 
     @property
@@ -109,7 +110,7 @@ class Envelope:
         return self.low + share * self.travel
 
     def trace(self, cycle: list[Move]) -> np.ndarray:
-        """Position (n,) [m] of the moves of ``cycle``, repeated to ten seconds at least, then home.
+        """Position (n,) [m] of the moves of ``cycle``, repeated for at least ten seconds, and back to ``home``.
 
         Steps of acceleration are smoothed to the jerk of the record.
         """
@@ -132,12 +133,12 @@ class Envelope:
         return [here + np.sign(target - here) * way, rest]
 
     def samples(self, seconds: float) -> int:
-        """Number of samples in ``seconds``, two at least."""
+        """Number of samples in ``seconds``, at least two."""
         return max(2, round(seconds / self.period))
 
 
 def slow_crawl(e: Envelope) -> np.ndarray:
-    """Crawl from rest, both ways, at 0.5 to 5 % of the top speed."""
+    """Crawl from rest, in both directions, at 0.5 to 5 % of the top speed."""
     moves: list[Move] = [(e.middle, 0.5, 1.0, 0.3)]
     for share in (0.005, 0.01, 0.02, 0.05):
         there = e.middle + min(1.5 * share * e.speed, e.far - e.middle)
@@ -146,7 +147,7 @@ def slow_crawl(e: Envelope) -> np.ndarray:
 
 
 def speed_staircase(e: Envelope) -> np.ndarray:
-    """Run both ways at eight constant speeds, from 5 % of the top speed to all of it."""
+    """Run in both directions at eight constant speeds, from 5 to 100 % of the top speed."""
     moves: list[Move] = []
     for share in (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0):
         ramps = (share * e.speed) ** 2 / e.acceleration
@@ -156,7 +157,7 @@ def speed_staircase(e: Envelope) -> np.ndarray:
 
 
 def two_speeds(e: Envelope) -> np.ndarray:
-    """Run strokes forth and back at two constant speeds, one three times the other."""
+    """Run back and forth at two constant speeds, one three times the other."""
     there = e.low + min(e.speed, e.travel)
     fast = min(1.0, e.travel / e.speed)
     return e.trace([(end, share, 1.0, 0.2) for share in (fast / 3, fast) for end in (there, e.low)])
@@ -169,7 +170,7 @@ def three_accelerations(e: Envelope) -> np.ndarray:
 
 
 def fast_strokes(e: Envelope) -> np.ndarray:
-    """Stroke without a pause at the top speed and acceleration, over three distances."""
+    """Run strokes without a pause at the top speed and acceleration, over three distances."""
     shares = (1.0, 0.0, 0.5, 0.0, 1.0, 0.0, 0.2, 0.0)
     return e.trace([(e.low + share * (e.far - e.low), 1.0, 1.0, 0.0) for share in shares])
 
@@ -192,7 +193,7 @@ def small_strokes(e: Envelope) -> np.ndarray:
 
 
 def stop_and_dwell(e: Envelope) -> np.ndarray:
-    """Stop at three places along the travel, coming from both sides, and rest there for 1.5 s."""
+    """Stop at three places along the travel, approached from both sides, and rest there for 1.5 s."""
     moves: list[Move] = []
     for place in (0.25, 0.5, 0.75):
         moves += [(e.at(place), 0.5, 1.0, 1.5), (e.at(place + 0.25), 0.5, 1.0, 0.1), (e.at(place), 0.5, 1.0, 1.5)]
@@ -200,29 +201,29 @@ def stop_and_dwell(e: Envelope) -> np.ndarray:
 
 
 def identical_laps(e: Envelope) -> np.ndarray:
-    """Repeat one lap, forth at full and back at half the top speed, again and again."""
+    """Repeat one lap many times, out at the top speed and back at half of it."""
     lap = [(e.far, 1.0, 1.0, 0.1), (e.low, 0.5, 1.0, 0.1)]
     return e.trace(lap * max(1, round(rules.LASTING[1] * e.speed / (3.5 * (e.far - e.low)))))
 
 
 def chirp_on_a_slow_run(e: Envelope) -> np.ndarray:
-    """Run slowly forth and back with a small chirp on top, from 2 to 100 Hz and back in every stroke."""
+    """Run slowly back and forth with a small chirp on top, from 2 to 100 Hz and back in every stroke."""
     stroke = e.far - e.low
-    # A stroke takes 3 s at least, so that the chirp has room, and not much more than 4.
+    # A stroke takes at least 3 s, so that the chirp has time, and not much more than 4 s.
     slow = min(max(0.2, stroke / (4.0 * e.speed)), stroke / (3.0 * e.speed), 0.6)
     base = e.trace(2 * [(e.far, slow, 0.4, 0.1), (e.low, slow, 0.4, 0.1)])
     turning = np.abs(np.gradient(base, e.period)) < 0.99 * slow * e.speed
     width = e.samples(0.2)
     fade = np.convolve(turning, np.ones(3 * width), mode="same") < 0.5
-    for _ in range(3):  # in and out inside the runs at constant speed, without a step of jerk
+    for _ in range(3):  # fade in and out at constant speed, without a step of jerk
         fade = np.convolve(fade, np.full(width, 1 / width), mode="same")
     first, last = rules.LINES_HZ[0], min(rules.LINES_HZ[1], 0.2 / e.period)
     up_and_down = 0.5 - 0.5 * np.cos(2 * np.pi * (base - e.low) / stroke)
     omega = 2 * np.pi * first * (last / first) ** up_and_down
-    # Smoothly the least of what speed (the run must not reverse), acceleration and jerk leave room for.
+    # A smooth minimum of the limits by speed (the run must not reverse), acceleration and jerk.
     half = 0.5 * e.acceleration
-    room = half / (1 + half / (0.35 * slow * e.speed * omega) + half * omega / e.jerk)
-    amplitude = room / omega**2 / np.maximum(e.follows(omega), rules.NEGLIGIBLE)
+    acceleration = half / (1 + half / (0.35 * slow * e.speed * omega) + half * omega / e.jerk)
+    amplitude = acceleration / omega**2 / np.maximum(e.follows(omega), rules.NEGLIGIBLE)
     return base + fade * amplitude * np.sin(np.cumsum(omega) * e.period)
 
 
@@ -233,7 +234,7 @@ EXCITATIONS: tuple[Callable[[Envelope], np.ndarray], ...] = (
 
 
 def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
-    """Every excitation by name: ``q_ref`` (n,) [m] inside ``envelope``.
+    """Every excitation by name: ``q_ref`` (n,) [m] within the limits of ``envelope``.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -246,10 +247,10 @@ def excitations(envelope: Envelope) -> dict[str, np.ndarray]:
 
 
 def instruction(name: str) -> str:
-    """What the excitation called ``name`` does, as an instruction.
+    """The excitation called ``name`` in words, as an instruction.
 
     >>> instruction("slow_crawl")
-    'crawl from rest, both ways, at 0.5 to 5 % of the top speed'
+    'crawl from rest, in both directions, at 0.5 to 5 % of the top speed'
     """
     text = next(excitation.__doc__ or name for excitation in EXCITATIONS if excitation.__name__ == name)
     return text[0].lower() + text[1:].rstrip(".")
@@ -263,10 +264,10 @@ def _top(signals: Iterable[np.ndarray]) -> float:
 class NextExperiment:
     """What to record next: ``text``; with an ``excitation``, its reference ``q_ref`` (n,) [m] at ``period`` [s].
 
-    ``distance`` [N rms] is the difference between the models with either effect of ``between`` on it, fitted to one
-    another; ``over_noise`` the same in standard deviations of the noise, of which ``needed`` decide. ``compared`` has
-    the first two for every safe excitation, the best first, after one step of the fits. ``file`` is the file of the
-    reference.
+    ``distance`` [N rms] is the difference between the models with either effect of ``between`` on this reference,
+    fitted to one another; ``over_noise`` is the same in standard deviations of the noise, and must be at least
+    ``needed`` to separate them. ``compared`` has the first two for every safe excitation, the best first, after one
+    step of the fits. ``file`` is the file of the reference.
 
     >>> NextExperiment("crawl", q_ref=np.zeros(3), period=0.5).written().to_dict(Units())["file"]
     'experiment.csv'
@@ -309,10 +310,10 @@ class NextExperiment:
 
 
 def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, list[str]]) -> NextExperiment | None:
-    """What to record next: an excitation where findings have ``equivalents``, else what the first finding's file says.
+    """What to record next: an excitation if findings have ``equivalents``, else the experiment of the first finding.
 
-    ``named`` are the findings; a finding with too many equivalents has no name, but its rivals count too. None where
-    there is neither.
+    ``named`` are the findings; the rivals of a finding with too many equivalents are separated too. None without
+    findings and rivals.
     """
     best = outcome.best
     sets = [
@@ -323,7 +324,7 @@ def experiment(outcome: Outcome, named: tuple[str, ...], equivalents: dict[str, 
     ]
     rivals = [outcome.tried[key] for key in sets if key in outcome.tried]
     if rivals and not best.problem.follows:
-        cost = best.cost / best.problem.samples("used")  # unexplained structure hides a difference as noise does
+        cost = best.cost / best.problem.samples("used")  # unexplained structure masks a difference like noise
         threshold = outcome.healthy.threshold
         chosen = choose((best, *rivals[: rules.MOST_EQUIVALENTS]), threshold, np.sqrt(max(1.0, cost)))
         if chosen is not None:
@@ -351,22 +352,22 @@ def varies(over: list[str]) -> tuple[str, str]:
     'identical_laps'
     """
     name = EXPERIMENTS[over[0]] if over else "speed_staircase"
-    why = f"because what is left depends on {' and '.join(over[:2])}" if over else "to see what the rest depends on"
-    return name, f"{instruction(name)}, {why}; diagnose the new record together with the old"
+    why = f"because the residual depends on {' and '.join(over[:2])}" if over else "to see what the residual depends on"
+    return name, f"{instruction(name)}, {why}; diagnose the new record together with the old one"
 
 
 def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> NextExperiment | None:
-    """The excitation on which the two of ``rivals`` that are nearest to one another are farthest apart.
+    """The excitation that maximises the distance between the two nearest of ``rivals``.
 
     ``threshold`` is the whitened cost that a finding must gain; ``noise`` [standard deviations of the whitening] is the
-    residual of the best rival. None where no excitation is safe.
+    residual of the best rival. None if no excitation is safe.
     """
     records = rivals[0].problem.records
     extremes = [_extremes(*rival.runs()) for rival in rivals]
     envelope = replace(Envelope.of(records), follows=_following(rivals[0]))
     references = excitations(envelope)
-    looked_at = side_by_side(_nearest, [(rivals, extremes, q_ref, noise) for q_ref in references.values()])
-    first = {name: apart for name, apart in zip(references, looked_at, strict=True) if apart is not None}
+    distances = side_by_side(_nearest, [(rivals, extremes, q_ref, noise) for q_ref in references.values()])
+    first = {name: apart for name, apart in zip(references, distances, strict=True) if apart is not None}
     if not first:
         return None
 
@@ -379,7 +380,7 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Nex
 
     ranked = sorted(first, key=lambda name: -first[name].over_noise)
     chosen, best = ranked[0], converged(ranked[0])
-    # Further steps only bring rivals closer: the best stays best if it exceeds the others' distance after one step.
+    # Further steps only reduce a distance: the best stays best if it exceeds the other distances after one step.
     if len(ranked) > 1 and best.over_noise < first[ranked[1]].over_noise:
         further = converged(ranked[1])
         if further.over_noise > best.over_noise:
@@ -413,12 +414,12 @@ class _Apart:
     @property
     def effects(self) -> tuple[Effect, Effect]:
         """The effects in which the two differ."""
-        own, other = ({effect.name: effect for effect in fitted.model.effects} for fitted in self.pair)
-        return next(own[name] for name in own if name not in other), next(other[n] for n in other if n not in own)
+        first, second = ({effect.name: effect for effect in fitted.model.effects} for fitted in self.pair)
+        return next(first[n] for n in first if n not in second), next(second[n] for n in second if n not in first)
 
 
 def _nearest(rivals: tuple[Fit, ...], extremes: list[np.ndarray], q_ref: np.ndarray, noise: float) -> _Apart | None:
-    """The two rivals nearest to one another on ``q_ref``; None where one of them makes it unsafe."""
+    """The two rivals nearest to one another on ``q_ref``; None if one of them exceeds its ``extremes``."""
     if not all(_safe(rival, q_ref, limits) for rival, limits in zip(rivals, extremes, strict=True)):
         return None
     pairs = [pair for pair in combinations(rivals, 2) if len(set(pair[0].model.names) ^ set(pair[1].model.names)) == 2]
@@ -427,26 +428,26 @@ def _nearest(rivals: tuple[Fit, ...], extremes: list[np.ndarray], q_ref: np.ndar
 
 
 def _directions(pair: tuple[Fit, Fit]) -> list[tuple[Fit, Fit]]:
-    """Pairs (machine, rival fitted to it), both ways; a model with bristles, slow to simulate, only as the machine."""
+    """Pairs (machine, rival fitted to it) in both orders; bristle models, slow to simulate, only as the machine."""
     both = [pair, pair[::-1]]
     return [way for way in both if not any(effect.takes_dry for effect in way[1].model.effects)] or both
 
 
 def _apart(machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:
-    """Fit ``rival`` to the simulation of ``machine`` on ``q_ref``, its parameters held by their covariance."""
+    """Fit ``rival`` to the simulation of ``machine`` on ``q_ref``, with its covariance as prior of its parameters."""
     force = machine.simulate(0, q_ref=q_ref).force
-    start, slots, known = _one_record(rival)
+    start, slots, root = _one_record(rival)
 
-    def missed(model: Candidate) -> np.ndarray:
+    def difference(model: Candidate) -> np.ndarray:
         return force[rules.START_UP :] - rival.with_model(model).simulate(0, q_ref=q_ref).force[rules.START_UP :]
 
     def residual(model: Candidate) -> np.ndarray:
-        innovations = rival.problem.whitening.apply(missed(model))
-        return np.concatenate((innovations, known @ (model.vector(slots) - at) / noise))
+        innovations = rival.problem.whitening.apply(difference(model))
+        return np.concatenate((innovations, root @ (model.vector(slots) - prior) / noise))
 
-    at = start.vector(slots)
+    prior = start.vector(slots)
     descent = descend(start, slots, residual, steps)
-    return _Apart((machine, rival), float(np.std(missed(descent.model))), float(np.sqrt(descent.cost)) / noise)
+    return _Apart((machine, rival), float(np.std(difference(descent.model))), float(np.sqrt(descent.cost)) / noise)
 
 
 def _one_record(fitted: Fit) -> tuple[Candidate, tuple[Slot, ...], np.ndarray]:
@@ -460,22 +461,22 @@ def _one_record(fitted: Fit) -> tuple[Candidate, tuple[Slot, ...], np.ndarray]:
     unit = np.array([fitted.slots[k].magnitude for k in shared])
     information = np.linalg.pinv(fitted.covariance[np.ix_(shared, shared)] / np.outer(unit, unit), hermitian=True)
     size, directions = np.linalg.eigh(information)
-    known = np.zeros((len(shared), len(slots)))
+    root = np.zeros((len(shared), len(slots)))
     columns = [k for k, slot in enumerate(slots) if slot.record is None]
-    known[:, columns] = np.sqrt(np.maximum(size, 0.0))[:, None] * directions.T / unit
-    return model, slots, known
+    root[:, columns] = np.sqrt(np.maximum(size, 0.0))[:, None] * directions.T / unit
+    return model, slots, root
 
 
 def _following(hypothesis: Hypothesis) -> Callable[[np.ndarray], np.ndarray]:
     """Gain (n,) from reference to position over angular frequencies (n,) [rad/s], without dry friction and effects."""
     pulse = np.zeros(8192)
-    pulse[1] = 1e-6  # m, small enough for no voltage limit
+    pulse[1] = 1e-6  # m, too small to reach the voltage limit
     mass, viscous, *_ = hypothesis.model.baseline
     smooth = hypothesis.with_model(Candidate(np.array([mass, viscous, 0.0, 0.0])))
-    answer = smooth.simulate(0, q_ref=pulse).position
-    omega = 2 * np.pi * np.fft.rfftfreq(pulse.size, hypothesis.problem.period)
-    gain = np.abs(np.fft.rfft(answer)) / pulse[1]
-    return lambda wanted: np.interp(wanted, omega, gain)
+    response = smooth.simulate(0, q_ref=pulse).position
+    frequencies = 2 * np.pi * np.fft.rfftfreq(pulse.size, hypothesis.problem.period)
+    gain = np.abs(np.fft.rfft(response)) / pulse[1]
+    return lambda omega: np.interp(omega, frequencies, gain)
 
 
 def _extremes(*runs: Run) -> np.ndarray:
@@ -490,26 +491,26 @@ def _extremes(*runs: Run) -> np.ndarray:
 
 
 def _safe(hypothesis: Hypothesis, q_ref: np.ndarray, limits: np.ndarray) -> bool:
-    """Whether a model stays within its :func:`_extremes` ``limits`` of the records on ``q_ref``, with some slack."""
+    """Whether a model on ``q_ref`` stays within ``limits``, its :func:`_extremes` on the records, with a tolerance."""
     try:
         reached = _extremes(hypothesis.simulate(0, q_ref=q_ref))
     except SimulationError:
         return False
-    room = rules.SLIGHT * np.array([limits[0] + limits[1], limits[0] + limits[1], *limits[2:]])
-    return bool(np.all(reached <= limits + room))
+    tolerance = rules.SLIGHT * np.array([limits[0] + limits[1], limits[0] + limits[1], *limits[2:]])
+    return bool(np.all(reached <= limits + tolerance))
 
 
 def _text(excitation: str, apart: _Apart, needed: float, duration: float) -> str:
     effect, other = apart.effects
     names = f"{inside(effect.label)} from {inside(other.label)}"
     distance = apart.pair[0].problem.axis.units.quantity(apart.distance, "N", ".2g")
-    far = f"{distance} rms and {apart.over_noise:.1f} standard deviations of the noise"
+    difference = f"{distance} rms, {apart.over_noise:.1f} standard deviations of the noise"
     if apart.over_noise < needed:
         return (
-            f"no motion within what the records show tells {names}: at best ({instruction(excitation)}) they are {far} "
-            f"apart, where {needed:.1f} decide; beyond it, {effect.words.experiment}"
+            f"no motion within the range of the records separates {names}: in the best one ({instruction(excitation)}) "
+            f"they differ by {difference}, where {needed:.1f} are needed; outside this range, {effect.words.experiment}"
         )
     return (
-        f"{instruction(excitation)}, {duration:.0f} s, to tell {names}: fitted to one another they are still {far} "
-        f"apart, where {needed:.1f} decide; diagnose the new record together with the old"
+        f"{instruction(excitation)}, {duration:.0f} s, to separate {names}: fitted to one another they still differ by "
+        f"{difference}, where {needed:.1f} are needed; diagnose the new record together with the old one"
     )

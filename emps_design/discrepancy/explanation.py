@@ -1,9 +1,9 @@
 """The last stage: from a validated outcome to a diagnosis with findings, views, tables and the next experiment.
 
-A finding says where its effect acts, its parameters and their deviations, and the gap without it and with it. The force
-of an effect is free of noise: the model is simulated with it, and its missing force computed without it. Of effects not
-found, the answer gives the smallest size that would have been a finding. Excited records are also compared by their
-frequency response.
+A finding has the place where its effect acts, its parameters with standard deviations, and the gap with and without it.
+The force of an effect has no noise: it is the missing force of the model without the effect on a simulation with it.
+For effects not found, the result gives the smallest size that would have been a finding. Excited records are also
+compared by their frequency response.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from emps_design.discrepancy.closest import Closest
 from emps_design.discrepancy.confirmation import deviation_in_time
 from emps_design.discrepancy.experiment import NextExperiment, experiment, what_to_record
 from emps_design.discrepancy.fit import Fit, fit
-from emps_design.discrepancy.gap import most_missed
+from emps_design.discrepancy.gap import record_of_largest_residual
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.placement import Extent, Placement, extent, placement, where_document
 from emps_design.discrepancy.preparation import Preparation, command_of
@@ -52,8 +52,8 @@ from emps_design.quantities import inside
 from emps_design.records import Record
 from emps_design.units import Units
 
-HIDDEN = "any size: these records do not bring it out"
-NO_START = "not looked for: nothing in these records to start from"
+HIDDEN = "any size: these records do not excite it"
+NO_START = "not tested: these records give no starting values for it"
 UNDETERMINED = {"value": None, "std": None}
 # The quantity of the view for each coordinate of an extent.
 _OVER = {"reversals": "time from reversal", "speed": "velocity", "position": "position", "time": "time"}
@@ -63,9 +63,9 @@ def contribution(hypothesis: Hypothesis, index: int, number: int = 0) -> tuple[n
     """Force (n,) [N] of effect ``index`` on record ``number``, and the samples (n,) bool to evaluate.
 
     The force is the missing force of the model without the effect on a simulation with it; its median is removed,
-    because a constant force belongs to the baseline. Of an effect of the controller, which the loop counteracts, it is
-    the force of the added voltage. Reversals are left out where the effect acts elsewhere too. Raises
-    :class:`SimulationError` where the model cannot be simulated without the effect.
+    because a constant force belongs to the baseline. For an effect of the controller, which the loop counteracts, it is
+    the force of the added voltage. Reversals are excluded if the effect also acts elsewhere. Raises
+    :class:`SimulationError` if the model cannot be simulated without the effect.
     """
     alone = hypothesis.only(number)
     problem, model = alone.problem, alone.model
@@ -74,8 +74,8 @@ def contribution(hypothesis: Hypothesis, index: int, number: int = 0) -> tuple[n
     if effect.channel == "controller":
         return problem.axis.drive.gain * command_of(effect, values, record), used
     run = alone.run(0)
-    played = replace(problem, records=(replace(record, q=run.q, u=run.u),))
-    missing = missing_force(Hypothesis(played, model.without(index)))[0]
+    simulated = replace(problem, records=(replace(record, q=run.q, u=run.u),))
+    missing = missing_force(Hypothesis(simulated, model.without(index)))[0]
     force = missing.force - np.median(missing.force[used])
     away = missing.away & used
     return force, away if np.sum(force[away] ** 2) > rules.PART * np.sum(force[used] ** 2) else used
@@ -91,25 +91,25 @@ def most_exercised(hypothesis: Hypothesis, index: int) -> int:
         try:
             force, samples = contribution(hypothesis, index, number)
             sizes.append(float(np.std(force[samples])))
-        except SimulationError:  # unstable without the effect: it is needed here
+        except SimulationError:  # unstable without the effect, which is therefore essential here
             sizes.append(np.inf)
     return int(np.argmax(sizes))
 
 
 def parameter_draws(fitted: Fit, index: int, seed: int = 0) -> list[Hypothesis]:
     """``rules.DRAWS`` models with the parameters of effect ``index`` drawn from their covariance."""
-    own = [i for i, slot in enumerate(fitted.slots) if slot.effect == index]
-    slots, model = tuple(fitted.slots[i] for i in own), fitted.model
+    places = [i for i, slot in enumerate(fitted.slots) if slot.effect == index]
+    slots, model = tuple(fitted.slots[i] for i in places), fitted.model
     size = np.array([slot.magnitude for slot in slots])
-    values, vectors = np.linalg.eigh(fitted.covariance[np.ix_(own, own)] / np.outer(size, size))
+    values, vectors = np.linalg.eigh(fitted.covariance[np.ix_(places, places)] / np.outer(size, size))
     root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    centre, chances = model.vector(slots), np.random.default_rng(seed).standard_normal((rules.DRAWS, len(own)))
-    draws = [model.with_vector(slots, centre + root @ chance) for chance in chances] if own else []
+    centre, normals = model.vector(slots), np.random.default_rng(seed).standard_normal((rules.DRAWS, len(places)))
+    draws = [model.with_vector(slots, centre + root @ normal) for normal in normals] if places else []
     return [fitted.with_model(draw) for draw in draws]
 
 
 def measured_response(records: Sequence[Record], axis: Axis) -> ResponseComparison | None:
-    """Frequency response of the excited ``records`` beside that of ``axis``; None without enough excitation."""
+    """Frequency response of the excited ``records`` and of ``axis``; None without enough excitation."""
     excited = [record for record in records if record.excitation is not None and np.ptp(record.excitation) > 0.0]
     if not excited:
         return None
@@ -159,11 +159,11 @@ def _finding(validation: Validation, index: int) -> Finding:
 
 
 def deviation(fitted: Fit, before: Fit, index: int, place: int, record: int = 0) -> float:
-    """Standard deviation of a parameter of ``fitted`` on ``record``, of the baseline with ``index`` -1.
+    """Standard deviation of a parameter of ``fitted`` on ``record``; of the baseline with ``index`` -1.
 
-    Of an instant it covers all instants of equal cost. Otherwise it is at least the change since ``before``, the same
-    effects on the fitting strokes alone: where play bounces, the sensitivity to a small change does not tell how well
-    the record determines a parameter.
+    For an instant it covers all instants of equal cost. Otherwise it is at least the change from ``before``, the fit of
+    the same effects to the fitting strokes alone: if backlash bounces, the sensitivity to a small change does not show
+    how well the record determines a parameter.
     """
     linear, in_time = fitted.std(index, place, record), deviation_in_time(fitted, index, place, record)
     if in_time > 0.0:
@@ -183,14 +183,14 @@ def _per_record(parameter: Parameter, values: np.ndarray) -> dict[str, Any]:
 def _without(extended: Fit, index: int, first: Fit) -> Fit:
     """The model without effect ``index``, refitted: the reference for the gain of the effect.
 
-    The effect may have moved a baseline parameter far from its value in the ``first`` model: both baselines are tried,
-    and the better one after a step is fitted further.
+    The effect may have moved a baseline parameter far from its value in the ``first`` model. Both baselines are tried,
+    and the one with the lower cost after one step is fitted further.
     """
     rest = extended.model.without(index)
     begins = (rest, replace(rest, baseline=first.model.baseline))
     tried = side_by_side(fit, [(extended.with_model(begin), "used", None, 1) for begin in begins])
     runs = [fitted for fitted in tried if fitted.innovations]
-    if not runs:  # no simulation without the effect: compare with the baseline
+    if not runs:  # cannot be simulated without the effect: compare with the baseline
         return first
     return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=rules.FEW_STEPS)
 
@@ -198,8 +198,8 @@ def _without(extended: Fit, index: int, first: Fit) -> Fit:
 def _where(fitted: Fit, index: int, number: int, least: float) -> dict[str, Any]:
     """The contract's ``where`` of effect ``index`` on record ``number``, with confidence from drawn parameters.
 
-    What the model misses without the effect is placed, from ``least`` [N] on; not that of an effect of the controller,
-    which the loop counteracts.
+    Regions are tested for a missing force above ``least`` [N] of the model without the effect, except for effects of
+    the controller, which the loop counteracts.
     """
     record, placed = fitted.problem.records[number], None
     if fitted.model.effects[index].channel != "controller":
@@ -211,11 +211,11 @@ def _where(fitted: Fit, index: int, number: int, least: float) -> dict[str, Any]
         try:
             return extent(record, *contribution(hypothesis, index, number))
         except SimulationError:
-            return None  # parameters at which the model is unstable do not describe this machine
+            return None  # parameters that make the model unstable do not describe this machine
 
     tried = side_by_side(extent_of, [(hypothesis,) for hypothesis in (fitted, *parameter_draws(fitted, index))])
     regions = [region for region in tried if region is not None]
-    if not regions:  # no simulation without the effect: it acts wherever the model moves
+    if not regions:  # cannot be simulated without the effect: it acts wherever the model moves
         regions.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
     where = where_document(regions[0], fitted.problem.axis.units, regions[1:], placed)
     return where if len(fitted.problem.records) == 1 else {**where, "record": record.name}
@@ -228,11 +228,11 @@ def _note(preparation: Preparation, channel: str, record: int) -> str:
         return f"gap of the {whose}, with the other effects refitted"
     units = preparation.start.problem.axis.units
     noise = units.quantity(preparation.laws[record].noise, "mV", ".2g")
-    return f"seen in u minus the controller's law, noise {noise}; the {units.word('force')} balance holds with it"
+    return f"seen in u minus the controller's law, noise {noise}; the {units.word('force')} balance does not change"
 
 
 def not_excluded(search: Outcome, named: Sequence[str]) -> list[dict[str, Any]]:
-    """A row for each effect not among ``named``: the smallest size that would have been found, None for no size."""
+    """A row for each effect not in ``named``: the smallest size that would have been found, or None."""
     baseline = search.baseline
     gain = max(search.healthy.threshold, rules.WORTH_AT_FLOOR * baseline.problem.samples("fit"))
     least = rules.SOME * search.floor.force
@@ -265,7 +265,7 @@ def _rounded(parameter: Parameter, size: float, units: Units) -> str:
 
 
 def least_visible(rows: Sequence[Mapping[str, Any]]) -> str | None:
-    """The largest force in ``rows`` that may be present undetected, for a sentence; None where none is a force."""
+    """The largest force in ``rows`` that may be present undetected, for a sentence; None if no row is a force."""
     bounded = [row for row in rows if row["size"] is not None and row["unit"] == "N"]
     if not bounded:
         return None
@@ -279,26 +279,26 @@ def _by_amplitude(starts: Sequence[Start], gain: float, least: float) -> tuple[P
     place = [p.name for p in effect.parameters].index(effect.linear[0])
     parameter = effect.parameters[place]
     amplitudes = [float(np.abs(s.model.values[-1][:, place]).max() * np.sqrt(gain) / s.size) for s in starts]
-    # Some shapes are never excited, such as an event at the record's end, or a speed that it does not reach.
+    # Some shapes are not excited, such as an event at the end of the record, or a speed that it does not reach.
     most = min(rules.FAR * parameter.scale if parameter.scale else np.inf, parameter.upper)
-    sane = [
+    plausible = [
         amplitude
         for amplitude, start in zip(amplitudes, starts, strict=True)
         if max(amplitude, float(np.abs(start.model.values[-1][:, place]).max())) <= most
     ]
-    if not sane:
+    if not plausible:
         return parameter, None
-    size = float(np.median(sane))
+    size = float(np.median(plausible))
     return parameter, max(size, least) if parameter.unit == "N" else size
 
 
 def _by_shape(
     baseline: Fit, absorbed: Tangent, starts: Sequence[Start], gain: float
 ) -> tuple[Parameter, float | None, bool]:
-    """Detectable first parameter of an effect without an amplitude: bisected from the faintest visible shape.
+    """Smallest detectable first parameter of an effect without an amplitude, by bisection from the weakest shape found.
 
-    Compared with the limit at which the effect fades, which may be another effect: play without its gap is an elastic
-    coupling. Also returns whether the effect fades as the parameter grows, as with a stiffness.
+    Compared with the limit in which the effect vanishes, which may be another effect: backlash without its gap is an
+    elastic coupling. Also returns whether the effect vanishes as the parameter grows, as with a stiffness.
     """
     effect = starts[0].model.effects[-1]
     parameter = effect.parameters[0]
@@ -334,12 +334,12 @@ def _by_shape(
 def explain(validation: Validation, rest: tuple[Message, ...] = (), closest: Closest | None = None) -> Diagnosis:
     """The diagnosis of a validation: what is missing and where, how much of the gap is closed, what to record next.
 
-    ``rest`` are warnings on data not searched; ``closest`` is the closest model, where requested.
+    ``rest`` are warnings about data not searched; ``closest`` is the closest model, if requested.
     """
     outcome, problem = validation.outcome, validation.extended.problem
     held_out = outcome.preparation.held_out
     judged = validation.held_out or validation.train
-    most = most_missed(validation.baseline)
+    most = record_of_largest_residual(validation.baseline)
     before, after = (missing_force(fitted)[most] for fitted in (validation.baseline, validation.extended))
     floor, used = outcome.floor, problem.splits[most].used
     details, named, drawn = side_by_side(  # the longest first
@@ -379,9 +379,9 @@ def _experiment(validation: Validation, rest: dict[str, Any] | None) -> NextExpe
 
 
 def with_marks(drawn: list[View], named: tuple[Finding, ...]) -> tuple[View, ...]:
-    """The views ``drawn`` with the extents of the findings marked; first the view of where the first finding acts.
+    """The views ``drawn`` with the extents of the findings marked; the one that locates the first finding comes first.
 
-    Where it acts everywhere, the view that shows most of the gap comes first.
+    If the first finding acts everywhere, the view that shows most of the gap comes first.
     """
     pictures = []
     for view in drawn:
@@ -408,7 +408,7 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
         "parameters": _parameters(validation),
         "not_excluded": [{**row, "unit": axis.units.unit(row["unit"])} for row in unseen],
         "records": _records(validation),
-        "held_out": outcome.preparation.confirming.to_dict(),
+        "held_out": outcome.preparation.hold_out.to_dict(),
         "calibration": calibration_in_words(outcome),
         "assumptions": [filled(text, axis.units) for text in ASSUMPTIONS],
         "warnings": warnings(validation),
@@ -450,16 +450,16 @@ def _candidates(validation: Validation, shown: int = 10) -> list[dict[str, Any]]
                 "statistic": gain if full is None else base.cost_fit - full.cost_fit,
                 "threshold": to_beat,
                 "accepted": name in validation.extended.model.names,
-                "note": "first guess only: too poor to be fitted, or fitted with numbers that it cannot have"
+                "note": "first estimate only: too poor for a full fit, or fitted with implausible parameters"
                 if full is None
-                else "alone, on top of the baseline",
+                else "the only effect on top of the baseline",
             }
         )
     return rows
 
 
 def _parameters(validation: Validation) -> dict[str, Any]:
-    """Baseline parameters of the axis file, fitted alone, and beside the effects; None where not determined."""
+    """Baseline parameters: of the axis file, fitted alone, and fitted with the effects; None if not determined."""
     direction = validation.outcome.preparation.direction
     axis = validation.extended.problem.axis
     axis_numbers = axis.mechanics.array()

@@ -20,7 +20,7 @@ from emps_design.records import Record
 class Fit(Hypothesis):
     """A fitted model: its whitened residuals, and the covariance (k, k) of the parameters in ``slots``.
 
-    ``surveyed``: the response surfaces of :func:`play_anew` found nothing better in its neighbourhood.
+    ``surface_checked``: the response surfaces of :func:`refit_play` found no lower cost in its neighbourhood.
     """
 
     slots: tuple[Slot, ...]
@@ -28,7 +28,7 @@ class Fit(Hypothesis):
     innovations: tuple[np.ndarray, ...]
     cost_fit: float
     cost_select: float
-    surveyed: bool = False
+    surface_checked: bool = False
 
     @property
     def cost(self) -> float:
@@ -45,26 +45,26 @@ class Fit(Hypothesis):
         return self.innovations or super().whitened()  # raises with the reason where the model cannot be simulated
 
     @cached_property
-    def loudness(self) -> tuple[np.ndarray, ...]:
+    def noise_gain(self) -> tuple[np.ndarray, ...]:
         """Gain from noise to innovations, at least 1; (n,) per record.
 
-        At a motor's limit, or in play, a loop may amplify noise into bursts that never repeat. Simulations with noise
-        on the carriage show when.
+        At the limit of a motor, or with backlash, a loop may amplify noise into bursts that do not repeat. The gain is
+        computed from simulations with noise on the carriage.
         """
         from scipy.ndimage import uniform_filter1d
 
-        quiet = self.whitened()
-        disturbed = side_by_side(self._disturbed, [(seed,) for seed in range(rules.NOISES)])
-        grown = [
+        undisturbed = self.whitened()
+        disturbed = side_by_side(self._innovations_with_noise, [(seed,) for seed in range(rules.NOISES)])
+        squares = [
             np.mean([(draw - other) ** 2 for draw in draws], axis=0)
-            for *draws, other in zip(*disturbed, quiet, strict=True)
+            for *draws, other in zip(*disturbed, undisturbed, strict=True)
         ]
         return tuple(
-            np.sqrt(np.maximum(uniform_filter1d(square, min(rules.PIECE, square.size)), 1.0)) for square in grown
+            np.sqrt(np.maximum(uniform_filter1d(square, min(rules.PIECE, square.size)), 1.0)) for square in squares
         )
 
-    def _disturbed(self, seed: int) -> tuple[np.ndarray, ...]:
-        """The innovations with noise on the carriage; where that cannot be simulated, those without."""
+    def _innovations_with_noise(self, seed: int) -> tuple[np.ndarray, ...]:
+        """The innovations with noise on the carriage; without noise if that cannot be simulated."""
         try:
             return self.problem.whiten(self.residuals(self.problem.noise(seed)))
         except SimulationError:
@@ -79,7 +79,7 @@ class Fit(Hypothesis):
 
 
 def fit(start: Hypothesis, part: str = "fit", slots: tuple[Slot, ...] | None = None, steps: int = 12) -> Fit:
-    """Fit ``start`` to the closed-loop force on the samples of ``part``; ``slots`` (default: all) says what is free."""
+    """Fit ``start`` to the closed-loop force on the samples of ``part``; ``slots`` (default: all) are free."""
     slots = start.model.slots() if slots is None else slots
 
     def residual(model: Candidate) -> np.ndarray:
@@ -92,7 +92,7 @@ def fit(start: Hypothesis, part: str = "fit", slots: tuple[Slot, ...] | None = N
 
 
 def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: np.ndarray | None = None) -> Fit:
-    """The cost of a model, without fitting it, on the fitting and on the selecting samples."""
+    """A model without fitting it, with its cost on the fitting and on the selecting samples."""
     problem, model = hypothesis.problem, hypothesis.model
     covariance = np.zeros((len(slots),) * 2) if covariance is None else covariance
     try:
@@ -103,29 +103,29 @@ def evaluate(hypothesis: Hypothesis, slots: tuple[Slot, ...] = (), covariance: n
     return Fit(problem, model, slots, covariance, innovations, fitting, selecting)
 
 
-def weighed(fitted: Fit) -> Fit | None:
-    """``fitted`` with its innovations weighted down where its model amplifies noise; None where it does not.
+def with_noise_weights(fitted: Fit) -> Fit | None:
+    """``fitted`` with its innovations divided by the noise gain; None if the model does not amplify noise.
 
-    A burst of a saturated loop changes as soon as any parameter moves, and misleads a fit. A model with play is not
-    weighted: play bounces at every reversal, and little would be left to determine it.
+    Any change of a parameter changes the bursts of a saturated loop, which misleads a fit. A model with backlash is not
+    weighted: backlash bounces at every reversal, and too little weight would remain to determine it.
     """
     bounces = any(effect.play for effect in fitted.model.effects)
-    if bounces or max(float(loud.max()) for loud in fitted.loudness) < rules.TWICE:
+    if bounces or max(float(gain.max()) for gain in fitted.noise_gain) < rules.TWICE:
         return None
-    problem = replace(fitted.problem, loudness=fitted.loudness)
+    problem = replace(fitted.problem, noise_gain=fitted.noise_gain)
     return evaluate(Hypothesis(problem, fitted.model), fitted.slots, fitted.covariance)
 
 
-def play_anew(fitted: Fit) -> Fit:
-    """``fitted`` moved to the minimum of response surfaces, if it has play that bounces and leaves structure.
+def refit_play(fitted: Fit) -> Fit:
+    """``fitted`` at the minimum of response surfaces, if it has backlash that bounces and its residual has structure.
 
-    Play found while something else was missing bounces elsewhere, in a local minimum. Beside smooth functions of the
-    state it stays where its short fit found it: they hide most of what else is missing. A model with more effects than
-    credible imitates something unknown, and is not worth the time.
+    Backlash found while something else was missing is in a local minimum, with impacts at other instants. With smooth
+    functions of the state it is not refitted, because these hide most of what else is missing; nor is a model with more
+    than ``rules.CREDIBLE`` effects, which imitates something unknown.
     """
-    quiet = fitted.cost <= rules.AT_FLOOR * fitted.problem.samples("used")
-    done = quiet or fitted.surveyed or len(fitted.model.effects) > rules.CREDIBLE
-    return fitted if done or not _bounces(fitted) else _over_surfaces(fitted, "fit")
+    at_floor = fitted.cost <= rules.AT_FLOOR * fitted.problem.samples("used")
+    done = at_floor or fitted.surface_checked or len(fitted.model.effects) > rules.CREDIBLE
+    return fitted if done or not _bounces(fitted) else _fit_by_surfaces(fitted, "fit")
 
 
 def _bounces(fitted: Fit) -> bool:
@@ -133,8 +133,8 @@ def _bounces(fitted: Fit) -> bool:
     return bounces and bool(fitted.innovations) and not fitted.problem.states
 
 
-def _over_surfaces(fitted: Fit, part: str) -> Fit:
-    """``fitted`` refitted to ``part`` by response surfaces where that leaves less, with the covariance of these."""
+def _fit_by_surfaces(fitted: Fit, part: str) -> Fit:
+    """``fitted`` refitted to ``part`` by response surfaces if that lowers its cost, with the covariance of these."""
     slots = fitted.slots or fitted.model.slots()
 
     def residual(model: Candidate) -> np.ndarray:
@@ -144,7 +144,7 @@ def _over_surfaces(fitted: Fit, part: str) -> Fit:
     if not descent.covariance.any():  # no neighbourhood can be simulated
         return fitted
     moved = evaluate(fitted.with_model(descent.model), slots, descent.covariance)
-    stayed = replace(fitted, slots=slots, covariance=descent.covariance, surveyed=True)
+    stayed = replace(fitted, slots=slots, covariance=descent.covariance, surface_checked=True)
     return min((stayed, moved), key=bounded_cost)
 
 
@@ -156,7 +156,7 @@ def bounded_cost(fitted: Fit) -> float:
 def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray:
     """Change (n, k) of the whitened residual on ``part`` by ``rules.STEP`` magnitudes of each parameter in ``slots``.
 
-    The column of a step at which the model cannot be simulated is 0.
+    A column is 0 if the model cannot be simulated with that step.
     """
     model, base = fitted.model, fitted.residual(part)
 
@@ -175,13 +175,13 @@ def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray
 
 
 def admissible(fitted: Fit) -> bool:
-    """Whether ``fitted`` can be simulated, is within bounds and plausible, and its lines and gaps are distinct."""
-    sound = bool(fitted.innovations) and not on_bound(fitted) and plausible(fitted)
-    return sound and _lines_apart(fitted) and not _closed(fitted)
+    """Whether ``fitted`` can be simulated, is within bounds and plausible, with distinct lines and gaps above zero."""
+    possible = bool(fitted.innovations) and not on_bound(fitted) and plausible(fitted)
+    return possible and _lines_apart(fitted) and not _gap_vanishes(fitted)
 
 
-def _closed(fitted: Fit) -> bool:
-    """Whether a gap of play is within its standard deviation of 0: it is then an elastic coupling."""
+def _gap_vanishes(fitted: Fit) -> bool:
+    """Whether a gap of backlash is within its standard deviation of 0: it is then an elastic coupling."""
     model = fitted.model
     gaps = [(index, effect.place(effect.play)) for index, effect in enumerate(model.effects) if effect.play]
     return any(model.values[index][0, place] < fitted.std(index, place) for index, place in gaps)
@@ -235,11 +235,11 @@ def bounds_met(fitted: Fit) -> list[Slot]:
     return met
 
 
-def refitted(hypothesis: Hypothesis) -> Fit:
-    """``hypothesis`` fitted to all used samples; with its own parameters where the fit is inadmissible."""
+def refit(hypothesis: Hypothesis) -> Fit:
+    """``hypothesis`` fitted to all used samples; with its own parameters if the fit is inadmissible."""
     fitted = fit(hypothesis, part="used")
     if _bounces(fitted):
-        fitted = _over_surfaces(fitted, "used")
+        fitted = _fit_by_surfaces(fitted, "used")
     return fitted if admissible(fitted) else evaluate(hypothesis, fitted.slots, fitted.covariance)
 
 

@@ -1,6 +1,6 @@
 """The force gap of a baseline and an extended model on the same records.
 
-On held-out data the parameters of one record are fitted again; all others stay.
+On held-out data the per-record parameters are fitted again; all others keep their values.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from emps_design.simulation import Plant
 
 @dataclass(frozen=True)
 class Gap:
-    """Rms force error [N] of baseline and extended model, unfiltered closed loop and inverse model at 60 Hz.
+    """Rms force error [N] of baseline and extended model: closed loop, unfiltered, and inverse model below 60 Hz.
 
     ``intervals`` are the 95 % intervals by the names of these fields.
     """
@@ -47,7 +47,7 @@ class Gap:
 class Prediction:
     """Force of one record [N], (n,) each: measured, and simulated from its reference with both models.
 
-    ``used`` (n,) bool are the samples that count; ``window`` [s] is their interval, None for a whole record.
+    ``used`` (n,) bool are the compared samples; ``window`` [s] is their interval, None for a whole record.
     """
 
     record: Record
@@ -69,17 +69,17 @@ class Prediction:
 
     def errors(self) -> tuple[np.ndarray, np.ndarray]:
         """Measured minus simulated force (n_used,) [N] of the baseline and of the extended model, means removed."""
-        missed = [(self.measured - force)[self.used] for force in (self.baseline, self.extended)]
-        return missed[0] - missed[0].mean(), missed[1] - missed[1].mean()
+        before, after = ((self.measured - force)[self.used] for force in (self.baseline, self.extended))
+        return before - before.mean(), after - after.mean()
 
 
 @dataclass(frozen=True)
 class GapComparison:
-    """Two models on the same records: the gap over all; prediction and extended model of the record with the largest
-    residual of the baseline. ``refitted`` are the names of the parameters fitted again for it.
+    """Two models on the same records: the ``gap`` over all records, and ``prediction`` and ``extended`` model of the
+    record with the largest residual of the baseline. ``refitted`` are the names of the parameters fitted again for it.
 
-    ``remaining_force`` [N] is the rms that the extended model leaves with an exact encoder: the steps of the recorded
-    encoder are noise, those of a second, simulated one would count as a gap.
+    ``remaining_force`` [N] is the rms residual of the extended model with an exact encoder: the steps of the recorded
+    encoder are noise, but those of a second, simulated encoder would count as a gap.
     """
 
     gap: Gap
@@ -105,12 +105,12 @@ def compare(
         **{name: float(np.std(error)) for name, error in errors.items()},
         intervals=dict(zip(errors, intervals, strict=True)),
     )
-    most = most_missed(models[0])
+    most = record_of_largest_residual(models[0])
     remaining = np.concatenate([force - force.mean() for force in models[1].remaining_force()])
     return GapComparison(gap, predictions[most], extended.only(most), float(np.std(remaining)), refitted)
 
 
-def most_missed(hypothesis: Hypothesis) -> int:
+def record_of_largest_residual(hypothesis: Hypothesis) -> int:
     """Index of the record on which the residual of a model is largest."""
     return int(np.argmax([np.std(force) for force in hypothesis.remaining_force()]))
 
@@ -121,7 +121,7 @@ def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
     A law that follows the recorded motion has no encoder of its own.
     """
     problem = baseline.problem
-    axis, record = problem.recorded.simulated, problem.records[0]
+    axis, record = problem.record_set.simulated, problem.records[0]
     measured = motor_force(axis, record)
 
     def simulated(hypothesis: Hypothesis) -> np.ndarray:
@@ -140,14 +140,14 @@ def compare_on(held_out: HeldOut, baseline: Candidate, extended: Candidate) -> G
 
 
 def adapt(held_out: HeldOut, model: Candidate, extended: Candidate) -> Candidate:
-    """``model`` of the training records on the held-out record: its controller's effect, and per-record parameters.
+    """``model`` of the training records with the controller's effect and per-record parameters of the held-out record.
 
-    The controller's effect is not added to a baseline where ``extended`` has it.
+    The controller's effect is not added to a baseline if ``extended`` has it.
     """
     if held_out.law is not None:
         addition = held_out.law.addition
-        theirs = [e.name for e in model.effects if e.channel == "controller" and e.name != held_out.added]
-        model = model.without_named(theirs)
+        others = [e.name for e in model.effects if e.channel == "controller" and e.name != held_out.added]
+        model = model.without_named(others)
         if addition is not None and held_out.added not in (*model.names, *extended.names):
             model = model.with_effect(*addition)
     return refit_per_record(Hypothesis(held_out.problem, model.only(0)))
@@ -162,8 +162,8 @@ def per_record_names(model: Candidate) -> tuple[str, ...]:
 def refit_per_record(hypothesis: Hypothesis) -> Candidate:
     """Fit the per-record parameters on the only record of ``hypothesis``.
 
-    Starts are the present parameters and the effect's own proposals on this record; the present ones stay unless new
-    ones are clearly better.
+    Starts are the present parameters and the proposals of the effect on this record; new parameters are used only if
+    they are clearly better.
     """
     if not per_record_names(hypothesis.model):
         return hypothesis.model
@@ -181,16 +181,16 @@ def refit_per_record(hypothesis: Hypothesis) -> Candidate:
 
 
 def _proposals(hypothesis: Hypothesis, index: int) -> list[np.ndarray]:
-    """Parameters (n_parameters,) of effect ``index`` with per-record ones as the effect proposes them."""
+    """Parameters (n_parameters,) of effect ``index`` with the per-record ones proposed by the effect."""
     problem, model = hypothesis.problem, hypothesis.model
     record, effect, row = problem.records[0], model.effects[index], model.values[index][0]
-    own = [p.per_record for p in effect.parameters]
+    per_record = [p.per_record for p in effect.parameters]
     if effect.channel == "controller":
         proposed = propose_command(effect, record, check_law(record, problem.axis, ()).gap)
-        return [] if proposed is None else [np.where(own, proposed, row)]
+        return [] if proposed is None else [np.where(per_record, proposed, row)]
     if effect.search.propose is None:
         return []
     missing = missing_force(hypothesis.with_model(model.without(index)))[0]
     tables = effect.search.propose(missing.motion, missing.force, model.baseline, missing.away)
     full = [[t.get(p.name, old) for p, old in zip(effect.parameters, row, strict=True)] for t in tables]
-    return [np.where(own, values, row) for values in full]
+    return [np.where(per_record, values, row) for values in full]

@@ -1,12 +1,12 @@
 """Least squares over the free parameters of a candidate model, within their bounds, and their covariance.
 
-A candidate model is the baseline and a set of effects with their parameters, the free ones as one vector.
+A candidate model is the baseline and a set of effects with their parameters; the free ones form one vector.
 
-:func:`descend` is Levenberg-Marquardt. Play that bounces makes the cost rough: every impact that comes earlier or later
-changes it a little, and a descent along gradients ends in the first local minimum. Two methods span many of these:
-:func:`simplex`, the search of Nelder and Mead over the logarithms of some parameters, and :func:`descend_rough`,
+:func:`descend` is Levenberg-Marquardt. Backlash that bounces makes the cost rough: every impact that moves in time
+changes it a little, and a gradient descent ends in the first local minimum. Two methods span many local minima:
+:func:`simplex`, the method of Nelder and Mead over the logarithms of some parameters, and :func:`descend_rough`,
 Gauss-Newton on linear response surfaces through a neighbourhood, over which the mean is smooth. A few samples at
-impacts would still dominate a sum of squares, so that large innovations count by Cauchy's loss there.
+impacts would still dominate a sum of squares, so large innovations have Cauchy's loss there.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from emps_design.quantities import Quantity
 class Slot:
     """Place of one free parameter: ``effect`` -1 is the baseline; ``record`` None means shared by all records.
 
-    ``magnitude`` is the unit of its steps in a fit.
+    ``magnitude`` is the scale of its steps in a fit.
     """
 
     effect: int
@@ -46,7 +46,7 @@ class Slot:
 class Candidate:
     """Baseline (4,) and one array (n_records, n_parameters) per effect; rows differ in per-record parameters only.
 
-    ``sizes`` are the bounds and scales of the baseline's parameters; those at the indices ``held`` are never free.
+    ``sizes`` are the bounds and scales of the baseline parameters; those at the indices ``held`` are never free.
     """
 
     baseline: np.ndarray
@@ -90,7 +90,7 @@ class Candidate:
         """
         slots = []
         if not frozen:
-            # A constant force may have to grow to the size of the friction before a spring fits.
+            # A constant force may need steps of the size of the friction before a spring fits.
             magnitudes = np.maximum(np.abs(self.baseline), [parameter.scale for parameter in self.sizes])
             magnitudes[OFFSET] = max(magnitudes[OFFSET], self.baseline[COULOMB])
             numbers = enumerate(zip(self.sizes, magnitudes, strict=True))
@@ -113,26 +113,26 @@ class Candidate:
         return replace(self, values=tuple(values))
 
     def only(self, record: int) -> Candidate:
-        """The same model with the numbers of one record."""
+        """The same model with the parameters of one record."""
         return replace(self, values=tuple(row[None] for row in self.parameters(record)))
 
     def vector(self, slots: tuple[Slot, ...]) -> np.ndarray:
-        """The numbers in ``slots``."""
+        """The values (k,) of ``slots``."""
         return np.array(
             [self.baseline[s.place] if s.effect < 0 else self.values[s.effect][s.record or 0, s.place] for s in slots]
         )
 
     def with_vector(self, slots: tuple[Slot, ...], vector: np.ndarray) -> Candidate:
-        """The same model with other numbers in ``slots``, each held within its bounds."""
+        """The same model with the values ``vector`` (k,) of ``slots``, each clipped to its bounds."""
         baseline, values = self.baseline.copy(), [v.copy() for v in self.values]
         for slot, number in zip(slots, vector, strict=True):
-            held = min(max(float(number), slot.quantity.lower), slot.quantity.upper)
+            clipped = min(max(float(number), slot.quantity.lower), slot.quantity.upper)
             if slot.effect < 0:
-                baseline[slot.place] = held
+                baseline[slot.place] = clipped
             elif slot.record is None:
-                values[slot.effect][:, slot.place] = held
+                values[slot.effect][:, slot.place] = clipped
             else:
-                values[slot.effect][slot.record, slot.place] = held
+                values[slot.effect][slot.record, slot.place] = clipped
         return replace(self, baseline=baseline, values=tuple(values))
 
     def parameters(self, record: int) -> tuple[np.ndarray, ...]:
@@ -140,7 +140,7 @@ class Candidate:
         return tuple(v[min(record, len(v) - 1)] for v in self.values)
 
     def to_axis(self, axis: Axis, record: int = 0) -> Axis:
-        """``axis`` with this baseline and these effects as seen by ``record``."""
+        """``axis`` with this baseline and these effects, per-record parameters from number ``record``."""
         effects = [
             {"kind": kind_of(e.name), **{p.name: float(x) for p, x in zip(e.parameters, row, strict=True)}}
             for e, row in zip(self.effects, self.parameters(record), strict=True)
@@ -150,7 +150,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Descent:
-    """Where a descent ended: the model, its sum of squares, and the covariance of the free numbers."""
+    """Result of a descent: the model, its sum of squares, and the covariance of the free parameters."""
 
     model: Candidate
     cost: float
@@ -202,9 +202,9 @@ def descend(
 ) -> Descent:
     """Minimise the sum of squares of ``residual`` over ``slots`` by Levenberg-Marquardt; bounds hold at every step.
 
-    A model that cannot be simulated counts as infinitely bad: the descent steps back from it. While steps gain much,
-    the Jacobian is updated by Broyden's rank-one formula; a descent ends with a computed one. It takes at most as many
-    simulations as ``steps`` steps with computed Jacobians.
+    A step to a model that cannot be simulated is rejected. While steps gain much, the Jacobian is updated by Broyden's
+    rank-one formula; the last one is computed. The number of simulations is at most that of ``steps`` steps with
+    computed Jacobians.
     """
     free = Scaled(start, slots, residual)
     (lower, upper), attempt, x = free.bounds, free.attempt, free.begin
@@ -225,7 +225,7 @@ def descend(
         first, secant, most = float(current @ current), jacobian.copy(), rules.TRIALS
         while most and simulations > 0:
             cost, trials, most = float(current @ current), most, 0
-            for trial, tried in itertools.islice(_moves(secant, current, x, lower, upper, damping), trials):
+            for trial, tried in itertools.islice(_trial_points(secant, current, x, lower, upper, damping), trials):
                 reached, simulations = attempt(trial), simulations - 1
                 if reached is None or float(reached @ reached) >= cost:
                     damping = tried * 10
@@ -245,12 +245,12 @@ def descend(
     return Descent(model, float(current @ current), free.unscaled(covariance_of(jacobian, current)))
 
 
-def _moves(
+def _trial_points(
     jacobian: np.ndarray, residual: np.ndarray, x: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Trial points from ``x`` (k,) within its bounds, and the damping of each: ten times more than the one before.
+    """Trial points from ``x`` (k,) within its bounds, each with ten times the damping of the one before.
 
-    No number moves by more than half its magnitude: a period must not jump over its neighbours.
+    No parameter changes by more than half its magnitude, so that a period does not jump over its neighbours.
     """
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
     while True:
@@ -263,18 +263,18 @@ def _moves(
 
 
 def covariance_of(jacobian: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) of a least-squares fit that leaves ``residual`` (n,), in standard deviations of the noise.
+    """Covariance (k, k) of a least-squares fit with ``residual`` (n,), in standard deviations of the noise.
 
-    Structure in the residual makes parameters less certain than noise alone: by its size, and, because structure is
+    Structure in the residual makes parameters less certain than noise alone: by its size and, because structure is
     correlated, by the scatter of the gradient between pieces of the record (sandwich estimator of Huber and White,
-    pieces as clusters). The larger of the two variances holds for each parameter.
+    pieces as clusters). The larger of the two variances is used for each parameter.
     """
     inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     covariance = inverse * max(1.0, float(residual @ residual) / residual.size)
     starts = np.arange(0, residual.size, rules.PIECE)
-    pulls = np.add.reduceat(jacobian * residual[:, None], starts, axis=0)
-    pulls -= pulls.mean(axis=0)
-    spread = inverse @ (pulls.T @ pulls) @ inverse
+    gradients = np.add.reduceat(jacobian * residual[:, None], starts, axis=0)
+    gradients -= gradients.mean(axis=0)
+    spread = inverse @ (gradients.T @ gradients) @ inverse
     wider = np.sqrt(np.maximum(1.0, np.diag(spread) / np.maximum(np.diag(covariance), 1e-300)))
     return covariance * np.outer(wider, wider)
 
@@ -293,10 +293,10 @@ def simplex(
 
     def cost(logarithms: np.ndarray) -> float:
         try:
-            missed = residual(moved(logarithms))
+            r = residual(moved(logarithms))
         except SimulationError:
             return rules.WORST
-        return float(missed @ missed)
+        return float(r @ r)
 
     first = np.log(np.maximum(start.vector(slots), [1e-3 * slot.magnitude for slot in slots]))
     corners = np.vstack([first, first + rules.SPAN * np.eye(first.size)])
@@ -317,10 +317,10 @@ def bounded(innovations: np.ndarray) -> np.ndarray:
 def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[[Candidate], np.ndarray]) -> Descent:
     """Minimise the sum of squares of ``residual`` over ``slots`` by linear response surfaces; returns the best point.
 
-    A surface goes through two points on each of k random orthogonal directions, which move all k parameters at once.
-    Its slopes give the next point. A failed simulation makes the neighbourhood smaller. The covariance is that of the
-    last surface plus that of all points whose cost exceeds the least by no more than the scatter of the last
-    neighbourhood. The same start takes the same directions.
+    A surface is fitted to two points on each of k random orthogonal directions, along which all k parameters change.
+    Its slopes give the next point. If a simulation fails, the neighbourhood shrinks. The covariance is that of the last
+    surface plus that of all points whose cost exceeds the least by no more than the scatter of the last neighbourhood.
+    The random directions are the same in every call.
     """
     random, free = np.random.default_rng(0), Scaled(start, slots, residual)
     visited: list[tuple[float, np.ndarray]] = []
@@ -338,7 +338,7 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
     covariance, rough = np.zeros((x.size, x.size)), 0.0
     if first is None or not slots:
         return Descent(start, visited[0][0] if visited else rules.WORST, covariance)
-    reach, vain = _reach(free.attempt, x, first[0]), 0
+    reach, failures = _initial_reach(free.attempt, x, first[0]), 0
     for number in range(rules.SURFACES):
         directions = np.linalg.qr(random.standard_normal((x.size, x.size)))[0] * np.sqrt(x.size) * reach
         met = visit(np.clip(np.concatenate([x + directions, x - directions]), *free.bounds))
@@ -355,8 +355,8 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
         before, reached = least()[0], visit(moved[None])
         astray = reached is None or visited[-1][0] > rules.IN_REACH * least()[0]
         x = least()[1] if astray else moved
-        vain = 0 if least()[0] < (1 - rules.BARELY) * before else vain + (not astray)
-        if vain == rules.IN_VAIN:
+        failures = 0 if least()[0] < (1 - rules.BARELY) * before else failures + (not astray)
+        if failures == rules.IN_VAIN:
             break
         if astray:
             reach = reach * rules.CLOSER**2
@@ -368,11 +368,11 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
     return Descent(free.at(best), cost, free.unscaled(covariance))
 
 
-def _reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Change (k,) of each of ``x`` (k,) alone that changes ``first``, the residual, by ``rules.TWICE`` costs."""
-    reach, wanted = np.full(x.size, 1e-3), rules.TWICE * float(first @ first)
+def _initial_reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Change (k,) of each of ``x`` (k,) alone that changes the residual ``first`` by ``rules.TWICE`` times its cost."""
+    reach, target = np.full(x.size, 1e-3), rules.TWICE * float(first @ first)
     for _ in range(rules.OFTEN):
         met = side_by_side(attempt, [(moved,) for moved in x + np.diag(reach)])
         changed = [np.inf if residual is None else float(np.sum((residual - first) ** 2)) for residual in met]
-        reach = reach * np.clip(np.sqrt(wanted / np.maximum(changed, 1e-300)), 0.1, 10.0)
+        reach = reach * np.clip(np.sqrt(target / np.maximum(changed, 1e-300)), 0.1, 10.0)
     return reach

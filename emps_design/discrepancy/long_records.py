@@ -1,4 +1,4 @@
-"""Records too long to be searched whole: their beginnings are searched, and the model is checked on the rest."""
+"""Records too long for a full search: only their beginnings are searched, and the model is checked on the rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Interval = tuple[float, float]
 
 
 def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[Record, ...]:
-    """What is searched of ``records``: all, or of too many samples what the ``windows`` [s] need, or the first strokes.
+    """The parts of ``records`` to search: all; if too long, as much as the ``windows`` [s] need, or the first strokes.
 
     >>> wave = np.sin(np.arange(rules.MOST_SAMPLES + 1) * 1e-3)
     >>> hour = Record.from_arrays(1e-3, wave, wave, wave)
@@ -42,18 +42,18 @@ def beginnings(records: tuple[Record, ...], *windows: Interval | None) -> tuple[
 def check_the_rest(
     records: tuple[Record, ...], parts: tuple[Record, ...], laws: tuple[LawCheck, ...], extended: Hypothesis
 ) -> tuple[tuple[Message, ...], bool]:
-    """Messages on what ``extended``, fitted to ``parts``, leaves of the whole ``records``, and whether it fails there.
+    """Messages about the residual of ``extended``, fitted to ``parts``, on whole ``records``; whether it is too large.
 
     One simulation of each whole record shows later changes. ``parts`` are the :func:`beginnings`; ``laws`` their
-    checks, one per record where the controller is known.
+    checks, one per record if the controller is known.
     """
-    remarks, more = list[Message](), False
+    remarks, fails = list[Message](), False
     for index, (record, searched) in enumerate(zip(records, parts, strict=True)):
         if len(searched) == len(record):
             continue
         head = (
             f"{record.name}: only {searched.duration:.4g} of {record.duration:.4g} s were searched, "
-            f"{len(record)} samples are too many"
+            f"because {len(record)} samples are too many"
         )
         hypothesis = extended.only(index)
         if laws and laws[index].unexplained:
@@ -66,23 +66,23 @@ def check_the_rest(
         except SimulationError as error:
             text = f"{head}; the model cannot be simulated to the end: {error}"
             remarks.append(warning("rest-not-simulated", text, record=record.name))
-            more = True
+            fails = True
             continue
         size = round(rules.PIECE_TIME / record.period)
         pieces = (
             residual[rules.START_UP :][: (residual.size - rules.START_UP) // size * size].reshape(-1, size).std(axis=1)
         )
         usual, most = float(np.median(pieces[: len(searched) // size])), int(np.argmax(pieces))
-        left, largest, usually = (
-            hypothesis.problem.axis.units.quantity(float(size), "N", rounded)
-            for size in (np.std(residual[rules.START_UP :]), pieces[most], usual)
+        whole_rms, largest_rms, usual_rms = (
+            hypothesis.problem.axis.units.quantity(float(rms), "N", rounded)
+            for rms in (np.std(residual[rules.START_UP :]), pieces[most], usual)
         )
-        text = f"{head}; over the whole record the model leaves {left}"
+        text = f"{head}; over the whole record the residual is {whole_rms}"
         if pieces[most] > rules.UNUSUAL * usual:
-            more = True
+            fails = True
             text += (
-                f", and {largest} in the {rules.PIECE_TIME:g} s from {most * rules.PIECE_TIME:g} s on, "
-                f"where {usually} are usual: something else is there, or changed; look at it with `fit_time`"
+                f", but {largest_rms} in the {rules.PIECE_TIME:g} s from {most * rules.PIECE_TIME:g} s on, against "
+                f"{usual_rms} as a rule: another effect acts there, or the machine changed; examine it with `fit_time`"
             )
         remarks.append(warning("part-searched", text, record=record.name, searched=searched.duration))
-    return tuple(remarks), more
+    return tuple(remarks), fails

@@ -13,28 +13,30 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.parallel import side_by_side
 from emps_design.discrepancy.records import Split
 
-LAPS, STROKES, LEFT = "what differs between laps", "what other strokes do not predict", "what the best model leaves"
+LAPS = "the difference between laps"
+STROKES = "the part that other strokes do not predict"
+RESIDUAL = "the residual of the best model"
 
 Signals = tuple[np.ndarray, np.ndarray]  # a force (n,) [N], unfiltered and low-passed
 Parts = tuple[list[np.ndarray], list[np.ndarray]]  # pieces of such forces
-Way = Callable[[Signals, Split], Parts]  # a way to take differences of laps
+LapDifference = Callable[[Signals, Split], Parts]  # a way to take differences of laps
 
 
 @dataclass(frozen=True)
 class Whitening:
-    """Autoregressive model of the force noise: ``coefficients`` (p + 1,), first 1; the innovation's ``std`` [N]."""
+    """Autoregressive model of the force noise: ``coefficients`` (p + 1,), the first 1; ``std`` [N] of innovations."""
 
     coefficients: np.ndarray
     std: float
 
     @classmethod
     def none(cls) -> Whitening:
-        """Return a whitening that changes nothing: noise of 1 N standard deviation."""
+        """The whitening of white noise with 1 N standard deviation, which changes nothing."""
         return cls(np.array([1.0]), 1.0)
 
     @classmethod
     def of_autocovariance(cls, lags: np.ndarray) -> Whitening:
-        """Model noise of autocovariance ``lags`` (order + 1,) [N^2] by the Yule-Walker equations."""
+        """The model of noise with autocovariance ``lags`` (order + 1,) [N^2], by the Yule-Walker equations."""
         from emps_design.identification.statistics import autoregression
 
         lags = lags * np.concatenate(([1 + 1e-9], np.ones(lags.size - 1)))
@@ -55,8 +57,8 @@ class Whitening:
 def rms_interval(error: np.ndarray, seed: int = 0) -> tuple[float, float]:
     """95 % confidence interval of the rms of ``error`` (n,), by the stationary bootstrap.
 
-    Pieces of random, geometrically distributed length begin anywhere in the record, closed to a ring (Politis and
-    Romano, The stationary bootstrap, 1994). Only their sums of squares are computed.
+    Blocks of geometrically distributed length start anywhere in the record, which is continued periodically (Politis
+    and Romano, The stationary bootstrap, 1994). Only their sums of squares are computed.
 
     >>> low, high = rms_interval(np.random.default_rng(0).standard_normal(20_000))
     >>> 0.97 < low < 1.0 < high < 1.03
@@ -80,8 +82,8 @@ def rms_interval(error: np.ndarray, seed: int = 0) -> tuple[float, float]:
 class Floor:
     """Rms [N] of the noise of the force, ``force`` unfiltered and ``force_60hz`` low-passed.
 
-    ``interval`` and ``interval_60hz`` are their 95 % intervals. ``whitening`` is the model of the noise, ``draws`` are
-    its innovations, to resample. ``source`` says what it was estimated from.
+    ``interval`` and ``interval_60hz`` are their 95 % intervals. ``whitening`` is the noise model, ``draws`` are its
+    innovations for resampling. ``source`` is what it was estimated from, in words.
     """
 
     force: float
@@ -94,7 +96,7 @@ class Floor:
 
     @property
     def from_laps(self) -> bool:
-        """Whether it was estimated from differences between laps, not from a model's residual."""
+        """Whether it was estimated from differences between laps, not from the residual of a model."""
         return self.source == LAPS
 
     def to_dict(self, measure: str = "") -> dict[str, object]:
@@ -104,17 +106,17 @@ class Floor:
 
 
 def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], period: float) -> Floor | None:
-    """Floor from repeated laps of any record, or None where no reference repeats.
+    """Noise floor from repeated laps of any record, or None if no reference repeats.
 
-    ``residuals`` (n,) [N] are those of a fitted model, so that what it explains of one lap only, such as a disturbance
-    of the controller, is not taken for noise. A drift is not either: where the second difference of three laps is
-    clearly smaller than the difference of two, the second difference is the floor. Pushes in single laps are not
-    either: where two of three laps always agree far better than consecutive ones, their difference is the floor.
+    ``residuals`` (n,) [N] are those of a fitted model, so that differences between laps which the model explains, such
+    as a disturbance of the controller, are not taken for noise. Neither is a drift: if the second difference of three
+    laps is clearly smaller than the difference of two, the second difference is the floor. Nor are pushes in single
+    laps: if two of three laps always agree far better than consecutive ones, their difference is the floor.
     """
     from emps_design.identification.filters import low_pass
 
     signals = [(force, low_pass(force, rules.CUTOFF_HZ, period)) for force in residuals]
-    ways = partial(_weighted, order=1), partial(_weighted, order=2), _agreeing
+    ways = partial(_weighted, order=1), partial(_weighted, order=2), _closest_laps
     first, second, agreeing = (_differences(signals, splits, way) for way in ways)
     if not first[0]:
         return None
@@ -126,12 +128,12 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
     return quietest if quietest.force < rules.THIRD * floor.force else floor
 
 
-def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: Way) -> Parts:
-    """Differences of laps by ``way`` over all records, unfiltered and low-passed, without unusual pieces."""
+def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: LapDifference) -> Parts:
+    """Differences of laps computed by ``way``, for all records, unfiltered and low-passed, without outlying pieces."""
     raw: list[np.ndarray] = []
     smooth: list[np.ndarray] = []
     for both, split in zip(signals, splits, strict=True):
-        usual = _steady(*way(both, split))
+        usual = _without_outliers(*way(both, split))
         raw += usual[0]
         smooth += usual[1]
     return raw, smooth
@@ -145,7 +147,7 @@ def _weighted(signals: Signals, split: Split, order: int) -> Parts:
     return raw, smooth
 
 
-def _agreeing(signals: Signals, split: Split) -> Parts:
+def _closest_laps(signals: Signals, split: Split) -> Parts:
     """Differences of the two laps of every three that agree best, piece by piece."""
     raw: list[np.ndarray] = []
     smooth: list[np.ndarray] = []
@@ -160,9 +162,11 @@ def _agreeing(signals: Signals, split: Split) -> Parts:
 
 
 def _pairs(signal: np.ndarray, start: int, stop: int, lap: int) -> np.ndarray:
-    """Differences (3, pieces, samples) of every two of three laps, less the median of each, which a drift makes."""
-    one = np.eye(rules.LAPS)
-    every_two = [one[later] - one[earlier] for earlier, later in itertools.combinations(range(rules.LAPS), 2)]
+    """Differences (3, pieces, samples) of every two of three laps, minus their medians, which come from drift."""
+    unit_weights = np.eye(rules.LAPS)
+    every_two = [
+        unit_weights[later] - unit_weights[earlier] for earlier, later in itertools.combinations(range(rules.LAPS), 2)
+    ]
     pairs = [_difference(signal, start, stop, lap, weights) for weights in every_two]
     cut = np.array([_pieces(pair, rules.PIECE) for pair in pairs])
     return cut - np.median(cut, axis=(1, 2), keepdims=True)
@@ -174,10 +178,10 @@ def _laps(split: Split, together: int) -> list[tuple[int, int]]:
     if split.lap == 0 or used.size < together * split.lap - rules.START_UP:
         return []
     first, last, others = int(used[0]), int(used[-1]) + 1, (together - 1) * split.lap
-    # The first lap starts from rest unlike the others: leave it out where there are laps to spare.
+    # The first lap starts from rest, unlike the others: it is excluded if there are enough laps.
     begin = first + split.lap if last - first > (together + 0.5) * split.lap else first
     groups = [(a, min(a + split.lap, last - others)) for a in range(begin, last - others - rules.START_UP, split.lap)]
-    return [(a, b) for a, b in groups if split.used[a : b + others].all()]  # not the held-out part
+    return [(a, b) for a, b in groups if split.used[a : b + others].all()]  # without the held-out part
 
 
 def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: np.ndarray) -> np.ndarray:
@@ -187,12 +191,12 @@ def _difference(signal: np.ndarray, start: int, stop: int, lap: int, weights: np
 
 
 def floor_of_residual(forces: Sequence[np.ndarray], period: float, source: str) -> Floor:
-    """Floor from the residual ``forces`` of a model, (n_used,) [N] per record; ``source`` says which residual."""
+    """Noise floor from the residual ``forces`` (n_used,) [N] of a model, per record; ``source`` describes it."""
     from emps_design.identification.filters import low_pass
 
     raw, smooth = [], []
     for force in forces:
-        usual = _steady([force], [low_pass(force, rules.CUTOFF_HZ, period)])
+        usual = _without_outliers([force], [low_pass(force, rules.CUTOFF_HZ, period)])
         raw += usual[0]
         smooth += usual[1]
     return _floor(raw, smooth, source)
@@ -216,8 +220,8 @@ def _interval(parts: list[np.ndarray], rms: float) -> tuple[float, float]:
 def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
     """Rms [N] and autocovariance (``rules.ORDER`` + 1,) [N^2] of ``parts`` without the lines of their spectrum.
 
-    A hum that is not synchronous with the laps differs between them, and is no noise: a line far above the median of
-    its neighbours is reduced to it.
+    A tone that is not synchronous with the laps differs between them but is not noise: a line far above the median of
+    its neighbours is reduced to that median.
     """
     from scipy.ndimage import median_filter
 
@@ -234,16 +238,16 @@ def _broadband(parts: list[np.ndarray]) -> tuple[float, np.ndarray]:
 
 
 def usual_rms(forces: Sequence[np.ndarray]) -> float:
-    """Rms [N] of ``forces``, (n,) per record, without the pieces in which a force is far larger than usual."""
-    return _rms([part for force in forces for part in _steady([force], [force])[0]])
+    """Rms [N] of ``forces``, (n,) per record, without pieces in which a force is far larger than usual."""
+    return _rms([part for force in forces for part in _without_outliers([force], [force])[0]])
 
 
-def _steady(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _without_outliers(raw: list[np.ndarray], smooth: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """``raw`` and ``smooth`` without the pieces in which ``raw`` is far larger than usual on its record.
 
-    An event in one lap only (a push, a mass put on) differs between laps without being noise. Pieces, not samples, so
-    that the kept part has the correlation of the noise. For each record separately: at four times the gain the same
-    play of the position is four times the force.
+    An event in one lap only (a push, a mass put on) differs between laps but is not noise. Whole pieces are removed, so
+    that the rest has the correlation of the noise; each record by itself, because with four times the gain the same
+    position error makes four times the force.
     """
     if not raw:
         return [], []

@@ -9,51 +9,51 @@ from typing import Any
 
 from emps_design.discrepancy import rules
 
-_idle = threading.Semaphore(rules.CORES - 1)  # idle cores
-_here = threading.local()  # ``ended``: whether the caller of this thread was interrupted
+_idle_cores = threading.Semaphore(rules.CORES - 1)  # idle cores
+_thread = threading.local()  # its ``ended()`` returns whether the caller of this thread was interrupted
 
 
-class _Ended(BaseException):
+class _CallerInterrupted(BaseException):
     """Raised in a helper thread whose caller was interrupted."""
 
 
 def side_by_side(function: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-    """Return ``function(*row)`` of each row of ``arguments``, in their order; raise what the first failing row raised.
+    """Return ``function(*row)`` of each row of ``arguments``, in order; raise the exception of the first failing row.
 
-    The caller computes the rows itself, and an idle core helps, at any depth of nested calls: a pool per call would
-    leave a core idle whenever the last row of the outer call takes long.
+    The calling thread computes the rows, and an idle core helps, also in nested calls: with a pool per call a core
+    would be idle while the last row of the outer call is computed.
 
     >>> side_by_side(pow, [(2, 3), (3, 2)])
     [8, 9]
     """
     rows, results, errors = list(arguments), {}, {}
     remaining, stopped = iter(range(len(rows))), threading.Event()
-    ended_above: Callable[[], bool] = getattr(_here, "ended", lambda: False)
+    ended_above: Callable[[], bool] = getattr(_thread, "ended", lambda: False)
 
     def ended() -> bool:
         return stopped.is_set() or ended_above()
 
     def take(row: int) -> None:
         if ended():
-            raise _Ended
+            raise _CallerInterrupted
         try:
             results[row] = function(*rows[row])
         except Exception as error:
             errors[row] = error
 
     def help_out() -> None:
-        _here.ended = ended
+        _thread.ended = ended
         try:
-            with suppress(_Ended):
+            with suppress(_CallerInterrupted):
                 for row in remaining:
                     take(row)
         finally:
-            _idle.release()
+            _idle_cores.release()
 
     helpers: list[threading.Thread] = []
     try:
         for row in remaining:
-            if row + 1 < len(rows) and _idle.acquire(blocking=False):
+            if row + 1 < len(rows) and _idle_cores.acquire(blocking=False):
                 helpers.append(threading.Thread(target=help_out, daemon=True))
                 helpers[-1].start()
             take(row)
@@ -67,13 +67,13 @@ def side_by_side(function: Callable[..., Any], arguments: Iterable[tuple[Any, ..
 
 
 def _wait(helpers: list[threading.Thread]) -> None:
-    """Wait for ``helpers``, whose own calls may use this core meanwhile."""
+    """Wait for ``helpers``; meanwhile their own calls may use this core."""
     if not any(helper.is_alive() for helper in helpers):
         return
-    _idle.release()
+    _idle_cores.release()
     try:
         for helper in helpers:
             while helper.is_alive():
                 helper.join(rules.PATIENCE)
     finally:
-        _idle.acquire()
+        _idle_cores.acquire()

@@ -1,8 +1,8 @@
 """Where a force acts, in numbers and in words, and the regions in which a record shows it at a stated error rate.
 
-The extent of a force is the shortest interval of each coordinate that contains most of it. A model has its force
-wherever it puts it. So one half of the record proposes regions and the other half tests them, and a place is named only
-where one passes. On average no more than ``rules.FALSE_REGIONS`` of those that pass are false.
+The extent of a force is the shortest interval of each coordinate that contains most of it. The force of a model is no
+evidence of its place. So one half of the record proposes regions and the other half tests them, and a place is named
+only if a region there passes. On average at most ``rules.FALSE_REGIONS`` of the regions that pass are false.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from emps_design.records import Record
 from emps_design.simulation import Run
 from emps_design.units import Units
 
-EVERYWHERE = "everywhere the record goes"
+EVERYWHERE = "throughout the record"
 
 
 @dataclass(frozen=True)
 class Region:
-    """An ``interval`` of the coordinate ``over``, and the probability that noise alone shows as much force in it."""
+    """An ``interval`` of the coordinate ``over``, and the probability ``chance`` of as much force from noise alone."""
 
     over: str
     interval: tuple[float, float]
@@ -37,13 +37,13 @@ class Region:
 
 @dataclass(frozen=True)
 class Placement:
-    """The regions that ``passed`` a test, of so many ``proposed``."""
+    """The regions that ``passed`` the test, and the number of those ``proposed``."""
 
     passed: tuple[Region, ...] = ()
     proposed: int = 0
 
     def intervals(self, over: str) -> list[list[float]]:
-        """The intervals of a coordinate that passed, in order, joined where they touch."""
+        """The intervals of the coordinate ``over`` that passed, in order; those that touch are joined."""
         joined: list[list[float]] = []
         for low, high in sorted(region.interval for region in self.passed if region.over == over):
             if joined and low <= joined[-1][1]:
@@ -53,29 +53,30 @@ class Placement:
         return joined
 
     def shows(self, over: str, *intervals: tuple[float, float]) -> bool:
-        """Whether a region over a coordinate overlaps one of the ``intervals``."""
+        """Whether a region of the coordinate ``over`` overlaps one of the ``intervals``."""
         return any(low <= stop and start <= high for low, high in self.intervals(over) for start, stop in intervals)
 
     def to_dict(self) -> dict[str, Any]:
-        """The entry ``regions`` of a document: where a force was shown over speed, position and time, in SI units."""
+        """The entry ``regions`` of a document: intervals of speed, position and time with a proven force, in SI."""
         counts = {"proposed": self.proposed, "passed": len(self.passed)}
         shown = {over: self.intervals(over) for over in ("speed", "position", "time")}
         return {"false_discovery_rate": rules.FALSE_REGIONS, **counts, **shown}
 
 
 def placement(hypothesis: Hypothesis, number: int, least: float) -> Placement:
-    """The regions in which a model misses more than ``least`` [N] of record ``number``."""
+    """The regions in which the residual of a model on record ``number`` exceeds ``least`` [N]."""
     alone = hypothesis.only(number)
     return placed(alone.residuals()[0], alone.run(0), alone.problem.splits[0], alone.problem.whitening, least)
 
 
 def placed(force: np.ndarray, run: Run, split: Split, whitening: Whitening, least: float) -> Placement:
-    """The regions of speed, position and time in which ``force`` (n,) [N] is more than ``least`` [N] and noise.
+    """The regions of speed, position and time in which ``force`` (n,) [N] exceeds ``least`` [N] and the noise.
 
-    The force is taken as it is, along the motion and along the acceleration of a simulated ``run``, which has no noise.
-    Neighbouring cells of a coordinate with a clear mean of one sign on one half of the record are a region, and its
-    mean on the other half is tested. Halves are the strokes or laps that fit and that select; over time they are pieces
-    in turn. The sum of the force with weights has the variance of the noise's filter, applied to the weights backwards.
+    The force is tested as it is, and multiplied by the sign of the velocity and of the acceleration of a simulated
+    ``run``, which has no noise. Adjacent cells of a coordinate with a clear mean of one sign on one half of the record
+    are a region; its mean on the other half is tested. The halves are the fitting and the selecting strokes or laps,
+    over time alternate pieces. The variance of a weighted sum of the noise is that of the reversed weights after the
+    noise filter.
     """
     from scipy.special import ndtr
 
@@ -87,7 +88,7 @@ def placed(force: np.ndarray, run: Run, split: Split, whitening: Whitening, leas
         "time": (run.t, max(1, force.size // (2 * rules.PIECE)), pieces),
     }
     ways = (np.ones(force.size), np.sign(run.v), np.sign(np.gradient(run.v)))
-    # Over a long stretch noise has this deviation in a mean, times the root of the number of samples.
+    # Standard deviation of a sum of n samples of the noise, divided by the square root of n, for large n.
     slow = whitening.std / abs(float(whitening.coefficients.sum()))
     tested = []
     for over, (x, cells, (proposing, testing)) in coordinates.items():
@@ -111,7 +112,7 @@ def placed(force: np.ndarray, run: Run, split: Split, whitening: Whitening, leas
 
 
 def discoveries(regions: Sequence[Region]) -> tuple[Region, ...]:
-    """Those of ``regions`` that pass at ``rules.FALSE_REGIONS`` (Benjamini and Hochberg, 1995), as they come.
+    """The ``regions`` that pass at ``rules.FALSE_REGIONS`` (Benjamini and Hochberg, 1995), in the given order.
 
     >>> chances = (0.04, 0.001, 0.5, 0.02)
     >>> regions = [Region("time", (0.0, 1.0), chance) for chance in chances]
@@ -141,7 +142,7 @@ class Extent:
     def place(self, shown: Placement | None) -> str:
         """The coordinate that locates it best: "speed", "position", "time", "reversals", or "" for everywhere.
 
-        Of those on which a region is ``shown``, if that was tested.
+        With ``shown`` only coordinates on which a region passed the test.
         """
         local = rules.SOME
         limits = {"speed": local, "position": local, "time": rules.NEARLY_ALL if len(self.time) == 1 else local}
@@ -192,26 +193,26 @@ def where_document(
 ) -> dict[str, Any]:
     """The contract's ``where`` of an extent, in numbers and in words of an axis with ``units``.
 
-    ``others`` are the extents of the same effect with its parameters drawn from their covariance: the range of the ends
-    of the intervals is ``confidence``. ``place`` names the coordinate in ``text``, one on which a region is ``shown``
-    where that was tested.
+    ``others`` are the extents of the same effect with parameters drawn from their covariance; ``confidence`` is the
+    range of the ends of the intervals. ``place`` is the coordinate in ``text``; with ``shown`` one with a region that
+    passed the test.
     """
     slow, fast = region.speed
     place = region.place(shown)
     forwards, backwards = region.forwards > 1 - rules.MOST, region.forwards < rules.MOST
     below = f"below {units.quantity(fast, 'mm/s', '.3g')}"
     words = {
-        "reversals": f"around reversals, {below}",
+        "reversals": f"near reversals, {below}",
         "speed": below if slow < rules.NEGLIGIBLE * fast else _between(region.speed, "mm/s", units),
         "position": _between(region.position, "mm", units),
         "time": _times(region.time),
-        "": "" if forwards and backwards else "all along",
+        "": "" if forwards and backwards else "throughout",
     }[place]
     if not (forwards and backwards):
         words += ", moving forwards" if forwards else ", moving backwards"
     elif place in ("speed", "reversals"):
-        words += ", both ways"
-    # Where less than most of the force resists, or drives, it is neither.
+        words += ", in both directions"
+    # A force of which less than the share MOST resists motion, or drives it, is neither.
     sense = "more or less" if abs(region.resisting) < 2 * rules.MOST - 1 else "more" if region.resisting > 0 else "less"
     result: dict[str, Any] = {
         "text": words or EVERYWHERE,
@@ -240,7 +241,7 @@ def _between(interval: tuple[float, float], unit: str, units: Units) -> str:
 
 def _times(intervals: tuple[tuple[float, float], ...]) -> str:
     (start, stop), rest = intervals[0], len(intervals) - 1
-    others = f" and {rest} time{'s' if rest > 1 else ''} more" if rest else ""
+    others = f" and {rest} more time{'s' if rest > 1 else ''}" if rest else ""
     return f"from {start:.3g} to {stop:.3g} s{others}"
 
 
@@ -250,7 +251,7 @@ def _span(intervals: list[tuple[float, float]]) -> list[list[float]]:
 
 
 def _shortest(x: np.ndarray, energy: np.ndarray, window: np.ndarray) -> tuple[float, float]:
-    """Shortest interval of ``x`` with most of the mean ``energy`` per cell, whatever the time spent in each."""
+    """Shortest interval of ``x`` with most of the mean ``energy`` per cell, regardless of the time spent in each."""
     inside = x[window]
     edges = np.linspace(float(inside.min()), float(inside.max()), rules.CELLS + 1)
     count = np.histogram(inside, edges)[0]
@@ -265,7 +266,7 @@ def _shortest(x: np.ndarray, energy: np.ndarray, window: np.ndarray) -> tuple[fl
 
 
 def _intervals_of_time(t: np.ndarray, energy: np.ndarray, period: float) -> tuple[tuple[float, float], ...]:
-    """Intervals of ``t`` [s] with relevant ``energy``; one from first to last where they are many."""
+    """Intervals of ``t`` [s] with relevant ``energy``; one interval from first to last if they are many."""
     width = max(1, round(rules.CELL_TIME / period))
     cells = energy[: energy.size // width * width].reshape(-1, width).mean(axis=1)
     high = np.nonzero(cells > rules.SLIGHT * cells.max())[0]

@@ -1,11 +1,11 @@
 """The first stage: check the records and the controller's law, and split the records.
 
-The law needs only ``q_ref`` and ``q``, both recorded: does the recorded voltage follow the law of the axis file? A gap
-is visible without any plant, and is explained here and nowhere else.
+The law needs only ``q_ref`` and ``q``, and both are recorded. So the difference between the recorded voltage and the
+law of the axis file does not depend on the plant, and is explained here only.
 
-The fit on the fitted samples says little, so a part of the record is held out where no other record confirms: the first
-lap, where the reference repeats and two further laps give the noise (the first starts from rest, unlike the others), or
-the last third of the strokes. Where too little would remain, nothing is held out, and the answer says so.
+The error on fitted samples proves little. Without a held-out record, a part of the record is held out: the first lap if
+the reference repeats and two further laps give the noise (it starts from rest, unlike the others), otherwise the last
+third of the strokes. If too few samples would remain, nothing is held out, and the result says so.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from emps_design.records.clock import same_period
 from emps_design.units import Units
 
 ONE_SPEED = (
-    "one speed, one way, and a controller that is not known: {mass} and friction stay as the axis file says, and of "
-    "the effects only {forces} with a place or a time are looked for. All others would pass for these, such as "
-    "friction that changes along the travel: record strokes at several speeds to tell them apart"
+    "the motion has one speed and one direction, and the controller is unknown: {mass} and friction stay as in the "
+    "axis file, and only {forces} at a position or a time are looked for. Any other effect, such as friction that "
+    "varies along the travel, would be taken for one of these: record strokes at several speeds to separate them"
 )
 DRIVE = {"gtau", "kp", "kv"}  # numbers of the drive that a record may carry
 
@@ -50,8 +50,11 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class LawCheck:
-    """``gap`` (n,) [V] is u minus the law; ``noise`` [V] the standard deviation of its white part; ``structured`` says
-    whether it is more than noise; ``addition`` explains it: an effect, and its parameters (n_parameters,)."""
+    """The difference between the command and the law.
+
+    ``gap`` (n,) [V] is u minus the law, ``noise`` [V] the standard deviation of its white part. ``structured``: it is
+    more than noise. ``addition`` is the effect that explains it, with its parameters (n_parameters,).
+    """
 
     gap: np.ndarray
     noise: float
@@ -70,9 +73,9 @@ class LawCheck:
 
 
 def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawCheck:
-    """Check the law of ``axis`` on ``record`` and name a gap with one of the ``library``'s controller effects.
+    """Check the law of ``axis`` on ``record``; explain a difference by one of the controller effects of ``library``.
 
-    Raises :class:`InputError` where the law holds nowhere: the axis file then has another controller than the drive.
+    Raises :class:`InputError` if no sample follows the law: then the drive has another controller than the axis file.
     """
     limit = axis.drive.command_limit
     gap = record.u - law_voltage(record, axis)
@@ -98,10 +101,7 @@ def check_law(record: Record, axis: Axis, library: tuple[Effect, ...]) -> LawChe
 
 
 def with_law_gap(record: Record, law: LawCheck | None) -> Record:
-    """``record`` with the unexplained gap of its ``law`` as a known excitation.
-
-    The plant is then judged under the recorded command.
-    """
+    """``record`` with the unexplained gap of its ``law`` as a known excitation, so that the recorded command acts."""
     if law is None or not law.unexplained:
         return record
     return replace(record, excitation=law.gap + (0.0 if record.excitation is None else record.excitation))
@@ -146,11 +146,11 @@ def _noise(gap: np.ndarray) -> float:
 
 
 def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
-    """The error message, with parameters of the law of ``axis`` that fit the record, or another law that does."""
+    """The error message, with parameters of the law of ``axis`` that fit the record, or another law that fits."""
     units = axis.units
     text = (
-        f"{record.name}: the {units.word('voltage')} follows the axis file's {axis.controller.kind} law nowhere "
-        f"(misses it by {units.quantity(miss, 'V', '.3g')} rms of {units.quantity(swing, 'V', '.3g')})"
+        f"{record.name}: the {units.word('voltage')} does not follow the axis file's {axis.controller.kind} law "
+        f"(it differs by {units.quantity(miss, 'V', '.3g')} rms of {units.quantity(swing, 'V', '.3g')})"
     )
     kind = get_law(axis.controller.kind)
     if kind.propose is not None:
@@ -165,26 +165,27 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
                 fitting = " and ".join(
                     f"{name} = {v:.5g} {units.unit(unit_of(fields[name]))}" for name, v in proposed.items()
                 )
-                return f"{text}; {fitting} fit it, correct the axis file"
+                return f"{text}; it fits {fitting}: correct the axis file"
     from emps_design.identification.controller import TOLD, identify_law
 
     identified = identify_law(record, axis.units)
     if identified.verdict == TOLD:
-        return f"{text}; {identified.in_words} does and leaves {identified.residual_rms:.3g}, correct the axis file"
+        residual = f"{identified.residual_rms:.3g}"
+        return f"{text}; it follows {identified.in_words} with a residual of {residual}: correct the axis file"
     return f'{text}; give the controller that made this record, or kind = "none"'
 
 
 def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = False) -> list[Message]:
-    """Refuse what cannot be judged; return messages on what the records cannot tell.
+    """Raise on records that cannot be judged; return messages about what the records do not excite.
 
-    ``along_motion``: nothing is simulated, so that any period will do, and no reference is needed.
+    With ``along_motion`` nothing is simulated, so any period is accepted and no reference is needed.
     """
     samples = sum(map(len, records))
     if samples > rules.MOST_SAMPLES:
         raise RecordError(
             f"{', '.join(record.name for record in records)}: found {samples} samples, expected at most "
             f"{rules.MOST_SAMPLES} in all: a diagnosis takes 1.7 kB of memory for each; "
-            "cut the records to what tells most"
+            "cut the records to their most informative part"
         )
     gaps: list[Message] = []
     for record in records:
@@ -198,7 +199,7 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
             raise RecordError(
                 f"{record.name}: found a sampling period of {1e3 * record.period:g} ms, expected at most "
                 f"{1e3 * rules.SLOWEST_PERIOD:g} ms: "
-                f"{axis.units.word('forces')} are looked at up to {rules.CUTOFF_HZ:g} Hz"
+                f"{axis.units.word('forces')} are compared up to {rules.CUTOFF_HZ:g} Hz"
             )
         if record.duration < rules.SHORTEST:
             raise RecordError(
@@ -211,7 +212,7 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
         if np.ptp(record.q_ref) < least and not along_motion:
             raise RecordError(
                 f"{record.name}: q_ref is constant, so the controller of the axis file did not make this motion; "
-                'without one (kind = "none") it is compared by its command'
+                'with kind = "none" the record is judged by its command'
             )
         limited = float(np.mean(np.abs(record.u) >= rules.AT_LIMIT * axis.drive.command_limit))
         if limited > rules.HALF:
@@ -219,19 +220,19 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
                 f"{record.name}: {100 * limited:.0f} % of the samples are at the {axis.units.word('voltage')} limit, "
                 f"expected less than {100 * rules.HALF:.0f} %; lower speed or acceleration"
             )
-        own = (*record.contradictions, *_not_excited(record, axis.units))
+        own = (*record.contradictions, *_excitation_messages(record, axis.units))
         gaps += [message.of(record.name) for message in own]
     return gaps
 
 
-def looked_for_again(effects: Sequence[str]) -> Message:
-    """The message that the ``effects`` of the axis file are not taken as known."""
-    text = f"the axis's own effects are left out and looked for again: {', '.join(effects)}"
+def dropped_effects_message(effects: Sequence[str]) -> Message:
+    """The message that the ``effects`` of the axis file are not treated as known."""
+    text = f"the effects of the axis file are removed and looked for again: {', '.join(effects)}"
     return warning("looked-for-again", text, effects=effects)
 
 
 def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
-    """Refuse an ``other`` record that was not sampled like ``record``, or whose file names another drive.
+    """Raise :class:`RecordError` if ``other`` has another sampling period than ``record``, or names another drive.
 
     Gains that the controller of ``axis`` takes from each record may differ.
     """
@@ -251,44 +252,45 @@ def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
 
 
 def same_run(record: Record, other: Record) -> bool:
-    """Whether two records hold the same measurement, whatever their names."""
+    """Whether two records hold the same measurement, regardless of their names."""
     return len(record) == len(other) and np.array_equal(record.q, other.q) and np.array_equal(record.u, other.u)
 
 
-def keeps_one_speed(record: Record, used: np.ndarray) -> bool:
-    """Whether ``record`` goes one way at about one speed in all the samples ``used`` (n,)."""
+def has_one_speed(record: Record, used: np.ndarray) -> bool:
+    """Whether the motion in the samples ``used`` (n,) has one direction and about one speed."""
     v = np.gradient(record.q, record.period)[used]
     return bool(np.std(v) < rules.QUARTER * abs(np.mean(v)))
 
 
 def identifiable_at_one_speed(effect: Effect) -> bool:
-    """Whether one speed identifies ``effect``: a force at a place on the travel, or at a time, and no friction."""
+    """Whether one speed identifies ``effect``: a force that depends on position or time, and no friction."""
     force = effect.channel == "plant" and effect.inertia is None and effect.dry is None
     return force and effect.over in ("q", "t")
 
 
-def _not_excited(record: Record, units: Units) -> list[Message]:
-    """Messages on what the speeds of ``record`` do not excite."""
+def _excitation_messages(record: Record, units: Units) -> list[Message]:
+    """Messages about effects that the speeds of ``record`` do not excite."""
     v = np.gradient(record.q_ref, record.period)
     fastest, size = float(np.abs(v).max()), speed_size(v)
     steady = np.abs(v)[(np.abs(np.gradient(v, record.period)) < 0.01 * size) & (np.abs(v) > 0.02 * fastest)]
     gaps = []
     if steady.size and np.ptp(steady) < 0.1 * fastest:
-        text = "one speed only, so viscous friction and its curvature cannot be told from Coulomb friction"
+        text = "one speed only, so viscous friction and its curvature cannot be separated from Coulomb friction"
         gaps.append(grave("one-speed", text))
     moving, slow = np.abs(v) > 0, rules.SLOW * size
     if moving.any() and float(np.mean(np.abs(v[moving]) < slow)) < 0.005:
         speed = units.quantity(slow, "mm/s", ".2g")
-        text = f"hardly any motion below {speed}, so Stribeck friction is seen at reversals only"
+        text = f"hardly any motion below {speed}, so Stribeck friction shows at reversals only"
         gaps.append(warning("no-slow-motion", text, speed=slow))
     return gaps
 
 
 @dataclass(frozen=True)
-class Confirming:
-    """Which data confirm: ``what`` in words, ``chosen`` "given", "kept", "in turn" or "none", ``time`` [s] of a part.
+class HoldOut:
+    """The choice of the held-out data: ``what`` in words, and ``time`` [s] of a part of a record.
 
-    ``what`` says for "none" why nothing was held out.
+    ``chosen`` is "given" by the user, "kept" by this program, "in turn" for leave-one-out over strokes, or "none"; then
+    ``what`` says why nothing was held out.
     """
 
     what: str
@@ -296,21 +298,21 @@ class Confirming:
     time: Interval | None = None
 
     @property
-    def opened(self) -> Confirming:
-        """The same where the part held out differs from the rest: then all is fitted."""
-        return Confirming(f"{self.what}, kept closed at first, has something that the rest lacks", "none")
+    def opened(self) -> HoldOut:
+        """The choice after the held-out part was found to differ from the rest: all samples are fitted."""
+        return HoldOut(f"{self.what}, held out at first, shows something that the rest does not", "none")
 
     @property
     def sentence(self) -> str:
-        """What data the errors and shares refer to; empty where the user gave the data."""
+        """The data that errors and shares refer to, as a sentence; empty if the user chose them."""
         if self.chosen == "kept":
-            return f"Nothing was fitted to {self.what}, kept closed to confirm."
+            return f"Held out for confirmation: {self.what}."
         if self.chosen == "in turn":
-            return f"Each of {self.what} was predicted from the others: errors and shares are of what was not fitted."
+            return f"Each of {self.what} was predicted from the others: errors and shares refer to held-out data."
         if self.chosen == "none":
             return (
-                f"Nothing was held out ({self.what}): errors and shares are of what was fitted; give another record as "
-                "`holdout`."
+                f"Nothing was held out ({self.what}): errors and shares refer to the fitted data; give another record "
+                "as `holdout`."
             )
         return ""
 
@@ -324,25 +326,25 @@ class Confirming:
         }
 
 
-def user_choice(record: Record, time: Interval | None = None) -> Confirming:
-    """``record``, or the interval ``time`` [s] of it, as the user's data to confirm."""
+def user_choice(record: Record, time: Interval | None = None) -> HoldOut:
+    """``record``, or its interval ``time`` [s], as held-out data chosen by the user."""
     part = "" if time is None else f"{time[0]:.4g} to {time[1]:.4g} s of "
-    return Confirming(f"{part}{record.name}", "given", time)
+    return HoldOut(f"{part}{record.name}", "given", time)
 
 
-def kept_closed(records: tuple[Record, ...], fit_time: Interval | None = None) -> Confirming:
-    """Choose the part of ``records`` to hold out within ``fit_time`` [s]; nothing of several records.
+def choose_held_out(records: tuple[Record, ...], fit_time: Interval | None = None) -> HoldOut:
+    """Choose the part of ``records`` to hold out within ``fit_time`` [s]; none of several records.
 
     >>> wave = np.abs(np.arange(6000) % 1000 - 500.0) * 1e-3
-    >>> kept_closed((Record.from_arrays(1e-3, wave, wave, wave, name="run"),)).sentence
-    'Nothing was fitted to the first lap of run, 0 to 1 s, kept closed to confirm.'
-    >>> kept_closed((Record.from_arrays(1e-3, wave[:1200], wave[:1200], wave[:1200], name="run"),)).sentence
-    'Nothing was held out (run has 3 strokes and does not repeat three times): errors and shares are of what was \
-fitted; give another record as `holdout`.'
+    >>> choose_held_out((Record.from_arrays(1e-3, wave, wave, wave, name="run"),)).sentence
+    'Held out for confirmation: the first lap of run, 0 to 1 s.'
+    >>> choose_held_out((Record.from_arrays(1e-3, wave[:1200], wave[:1200], wave[:1200], name="run"),)).sentence
+    'Nothing was held out (run has 3 strokes and fewer than three laps): errors and shares refer to the fitted data; \
+give another record as `holdout`.'
     """
     record = records[0]
     if len(records) > 1:
-        return Confirming(f"{len(records)} records are fitted together", "none")
+        return HoldOut(f"{len(records)} records are fitted together", "none")
     begin, end = 0, len(record)
     if fit_time is not None:
         begin, end = (int(i) for i in np.searchsorted(record.t, fit_time))
@@ -351,16 +353,16 @@ fitted; give another record as `holdout`.'
     if lap and end - begin >= rules.LAPS * lap - rules.START_UP:
         start, stop, what = begin, begin + lap, "the first lap"
     elif lap or len(inside) < 2 * FEWEST_STROKES:
-        return Confirming(f"{record.name} has {_strokes(len(inside))} and does not repeat three times", "none")
+        return HoldOut(f"{record.name} has {_strokes(len(inside))} and fewer than three laps", "none")
     else:
         count = int(rules.THIRD * len(inside))
         start, stop, what = inside[-count][0], end, f"the last {count} of {_strokes(len(inside))}"
     remaining = end - begin - (stop - start)
     if stop - start < rules.START_UP + rules.FEWEST or remaining < rules.FEWEST + rules.FEWEST_TO_SELECT:
-        return Confirming(f"{record.name} has {end - begin} samples to fit", "none")
+        return HoldOut(f"{record.name} has {end - begin} samples to fit", "none")
     time = float(record.t[start]), float(record.t[stop - 1]) + 0.5 * record.period
     shown = f"{time[0]:.4g} to {time[0] + (stop - start) * record.period:.4g} s"
-    return Confirming(f"{what} of {record.name}, {shown}", "kept", time)
+    return HoldOut(f"{what} of {record.name}, {shown}", "kept", time)
 
 
 def _strokes(number: int) -> str:
@@ -369,9 +371,9 @@ def _strokes(number: int) -> str:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """The data that confirm, as a problem; ``window`` (start, stop) [s] where they are part of a record.
+    """The held-out data as a problem; ``window`` (start, stop) [s] if they are part of a record.
 
-    ``law`` is None where the controller is unknown, or the data are part of the training record.
+    ``law`` is None if the controller is unknown or the data are part of the training record.
     """
 
     problem: Problem
@@ -384,19 +386,19 @@ class HeldOut:
         return "" if self.law is None else self.law.added
 
     def with_whitening(self, whitening: Whitening) -> HeldOut:
-        """The same data judged with other noise."""
+        """The same data judged with another noise model."""
         return replace(self, problem=self.problem.with_whitening(whitening))
 
 
 @dataclass(frozen=True)
 class Preparation:
-    """What a diagnosis starts from.
+    """Input of a diagnosis after the checks.
 
-    ``records`` are the user's; ``start`` is the axis file's model of them, with the controller's addition to its law;
-    ``library`` are the candidate effects, ``laws`` the checks of the controller's law, one per record where the
-    controller is known. ``confirming`` describes ``held_out``, or why it is None. ``direction`` is 1 or -1 where all
-    motion is one way: then only the sum of Coulomb friction and constant force is determined, and the latter stays as
-    in the axis file.
+    ``start`` is the model of the axis file with the disturbance that the controller adds to its law; ``library`` are
+    the candidate effects; ``laws`` are the checks of the controller's law, one per record if the controller is known.
+    ``hold_out`` describes ``held_out``, or why it is None. ``direction`` is 1 or -1 if all motion has one direction:
+    then only the sum of Coulomb friction and constant force is determined, and the constant force stays as in the axis
+    file.
     """
 
     records: tuple[Record, ...]
@@ -404,7 +406,7 @@ class Preparation:
     library: tuple[Effect, ...]
     laws: tuple[LawCheck, ...]
     held_out: HeldOut | None
-    confirming: Confirming
+    hold_out: HoldOut
     warnings: tuple[Message, ...]
     direction: int = 0
 
@@ -421,15 +423,15 @@ def prepare(
     holdout: Record | None,
     fit_time: Interval | None,
     confirm_time: Interval | None,
-    opened: Confirming | None = None,
+    opened: HoldOut | None = None,
 ) -> Preparation:
     """Check the records and the controller's law, scale the library to the axis, and split the training samples.
 
-    Held out is ``holdout``, or ``confirm_time`` [s] of the first record, or else the part of :func:`kept_closed`;
-    nothing with ``opened``.
+    The held-out data are ``holdout``, or ``confirm_time`` [s] of the first record, or the part that
+    :func:`choose_held_out` selects; none with ``opened``.
     """
-    confirming = opened or _confirming(records, holdout, fit_time, confirm_time)
-    confirm_time = confirming.time
+    hold_out = opened or _confirming(records, holdout, fit_time, confirm_time)
+    confirm_time = hold_out.time
     dropped, first = [entry.effect.name for entry in axis.effects], records[0]
     axis = axis.replace(effects=[]).supplied_by(*records, *(() if holdout is None else (holdout,)))
     factors = sizes(first.q, first.u, first.period, axis.drive.gain)
@@ -437,23 +439,23 @@ def prepare(
     library = tuple(worded(sized(line, factors), axis.units) for line in lines)
     warnings = check_records(records, axis)
     if dropped:
-        warnings.append(looked_for_again(dropped))
+        warnings.append(dropped_effects_message(dropped))
     for other in (*records[1:], *(() if holdout is None else (holdout,))):
         check_same_drive(first, other, axis)
     for earlier, other in combinations(records, 2):
         if same_run(earlier, other):
-            raise InputError(f"{other.name}: is the record {earlier.name} again; give each record once")
+            raise InputError(f"{other.name}: same measurement as {earlier.name}; give each record once")
     known, law = axis.controller.kind != "none", None
     if holdout is not None:
         if any(same_run(holdout, record) for record in records):
-            raise InputError(f"{holdout.name}: is a training record too; confirm on one that nothing was fitted to")
+            raise InputError(f"{holdout.name}: also a training record; confirm on a record that is not fitted")
         warnings += check_records((holdout,), axis)
-        # Another controller is refused before the search; the law says nothing about the plant.
+        # A record of another controller is refused before the search. The law does not depend on the plant.
         law = check_law(holdout, axis, library) if known else None
     laws = tuple(check_law(record, axis, library) for record in records if known)
     judged = tuple(map(with_law_gap, records, laws)) if known else records
     splits = _splits(records, fit_time, confirm_time)
-    # A record ends at the last fitted sample, so that no filter uses held-out samples.
+    # Records are cut at the last fitted sample, so that no filter sees held-out samples.
     ends = [int(np.flatnonzero(part.used)[-1]) + 1 if part.used.any() else len(part.fit) for part in splits]
     searched, splits = tuple(map(Record.until, judged, ends)), tuple(map(Split.until, splits, ends))
     problem = Problem(axis, searched, splits, Whitening.none())
@@ -462,15 +464,15 @@ def prepare(
         record, window = judged[0] if holdout is None else with_law_gap(holdout, law), None
         inside = np.ones(len(record), bool)
         if confirm_time is not None:
-            inside = between(record, confirm_time, "`confirm_time`")
+            inside = samples_within(record, confirm_time, "`confirm_time`")
         if not inside.all():
             window = float(record.t[inside][0]), float(record.t[inside][-1])
         held_out = HeldOut(Problem(axis, (record,), (split(record, inside),), Whitening.none()), window, law)
     held: tuple[int, ...] = ()
-    # A motor that stutters forward has two signs of friction, however far it gets in one direction.
+    # In stick-slip the friction has both signs, even if the net motion has one direction.
     stutters = any(backward_time(record) > rules.SLIGHT for record in searched)
     direction = 0 if stutters else one_direction(searched)
-    if problem.follows and all(map(keeps_one_speed, searched, problem.masks("used"))):
+    if problem.follows and all(map(has_one_speed, searched, problem.masks("used"))):
         held = MASS, VISCOUS, COULOMB
         library = tuple(filter(identifiable_at_one_speed, library))
         warnings.append(warning("one-speed-one-way", filled(ONE_SPEED, axis.units)))
@@ -478,35 +480,37 @@ def prepare(
     elif direction:
         held = (OFFSET,)
         warnings.append(lumped(axis.units))
-    start = Hypothesis(problem, _as_the_axis_says(Candidate.of(axis, factors, held), laws))
+    start = Hypothesis(problem, _candidate_of_axis(Candidate.of(axis, factors, held), laws))
     plant = tuple(effect for effect in library if effect.channel != "controller")
-    return Preparation(records, start, plant, laws, held_out, confirming, tuple(warnings), direction)
+    return Preparation(records, start, plant, laws, held_out, hold_out, tuple(warnings), direction)
 
 
 def _confirming(
     records: tuple[Record, ...], holdout: Record | None, fit_time: Interval | None, confirm_time: Interval | None
-) -> Confirming:
+) -> HoldOut:
     if holdout is not None:
         return user_choice(holdout)
-    return kept_closed(records, fit_time) if confirm_time is None else user_choice(records[0], confirm_time)
+    return choose_held_out(records, fit_time) if confirm_time is None else user_choice(records[0], confirm_time)
 
 
 def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time: Interval | None) -> tuple[Split, ...]:
-    """The fitting and selecting samples of each record; raises :class:`InputError` where they are too few."""
-    allowed = [np.ones(len(r), bool) if fit_time is None else between(r, fit_time, "`fit_time`") for r in records]
+    """The fitting and selecting samples of each record; raises :class:`InputError` if they are too few."""
+    allowed = [
+        np.ones(len(r), bool) if fit_time is None else samples_within(r, fit_time, "`fit_time`") for r in records
+    ]
     if confirm_time is not None:
-        kept = between(records[0], confirm_time, "`confirm_time`")
-        if kept.sum() < rules.FEWEST:
+        held_out = samples_within(records[0], confirm_time, "`confirm_time`")
+        if held_out.sum() < rules.FEWEST:
             raise InputError(
-                f"`confirm_time`: found {kept.sum()} samples of {records[0].name}, expected at least {rules.FEWEST}"
+                f"`confirm_time`: found {held_out.sum()} samples of {records[0].name}, expected at least {rules.FEWEST}"
             )
-        allowed[0] &= ~kept
-    there = [
+        allowed[0] &= ~held_out
+    has_samples = [
         mask[start:stop].any()
         for record, mask in zip(records, allowed, strict=True)
         for start, stop in find_strokes(record.q_ref, record.period)
     ]
-    few = sum(there) < FEWEST_STROKES
+    few = sum(has_samples) < FEWEST_STROKES
     splits: list[Split] = []
     for record, mask in zip(records, allowed, strict=True):
         splits.append(split(record, mask, sum(len(made.strokes) for made in splits), rules.PARTS if few else 1))
@@ -515,13 +519,13 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
         raise InputError(
             f"{', '.join(record.name for record in records)}: found {used} samples to fit, in "
             f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {rules.FEWEST} to fit and "
-            f"{rules.FEWEST_TO_SELECT} others to select from: record longer (identify needs less)"
+            f"{rules.FEWEST_TO_SELECT} others to select from: make a longer record (identify needs less)"
         )
     return tuple(splits)
 
 
-def _as_the_axis_says(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate:
-    """The axis file's numbers, with the effect that explains what the controller adds to its law."""
+def _candidate_of_axis(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate:
+    """``start`` with the effect that explains what the controller adds to its law, if any."""
     additions = [law.addition for law in laws]
     first = next((addition for addition in additions if addition is not None), None)
     if first is None:
@@ -533,8 +537,8 @@ def _as_the_axis_says(start: Candidate, laws: tuple[LawCheck, ...]) -> Candidate
     return start.with_effect(effect, np.array(rows))
 
 
-def between(record: Record, window: Interval, option: str) -> np.ndarray:
-    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; refuses an empty one."""
+def samples_within(record: Record, window: Interval, option: str) -> np.ndarray:
+    """Samples (n,) bool of ``record`` inside ``window`` (start, stop) [s]; raises :class:`InputError` if empty."""
     inside = (record.t >= window[0]) & (record.t < window[1])
     if not inside.any():
         raise InputError(

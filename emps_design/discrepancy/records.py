@@ -1,11 +1,11 @@
 """Records of one axis: their drive, their motion, and their split into strokes and laps.
 
-A simulation of a record is driven by its reference through the controller, or by the recorded motion. Where the
-controller is not known (``controller.kind = "none"``) the model becomes an inverse model: it gets the recorded voltage,
-and a position law adds what keeps it on the recorded motion. That correction is the force the model lacks, within the
-bandwidth of the law, with all hidden states of the model simulated.
+The simulation of a record is driven by its reference through the controller. If the controller is unknown
+(``controller.kind = "none"``), the model becomes an inverse model: it is driven by the recorded voltage, and a position
+law adds the voltage that keeps it on the recorded motion. That correction is the force the model lacks, within the
+bandwidth of the law, with all internal states of the model simulated.
 
-Whole strokes or laps of a record fit and select.
+The fitting and the selecting part of a record consist of whole strokes or laps.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from emps_design.simulation.run import commands_of, driven_by
 
 
 def band(record: Record) -> float:
-    """The frequency [Hz] below which nine tenths of the power of the command lie, and the encoder's noise is minor.
+    """Frequency [Hz] below which the command has 90 % of its power and the encoder noise is minor.
 
-    Above, white noise of the position is more than ``rules.MINOR`` of the acceleration below that frequency: a model
-    that follows it would do best with hardly any mass.
+    Above it, white noise of the position exceeds ``rules.MINOR`` of the acceleration below that frequency, and the best
+    fit of a model that follows the record would have hardly any mass.
 
     >>> t = np.arange(4000) * 1e-3
     >>> command = np.sin(2 * np.pi * 72 * t)
@@ -60,38 +60,39 @@ def bandwidth(record: Record, band_hz: float) -> float:
 
 
 def _fastest(record: Record) -> float:
-    """The highest bandwidth [Hz] at which ``record`` can be followed by a law that is computed once a sample."""
+    """The highest bandwidth [Hz] of a law that follows ``record`` and is computed once per sample."""
     return 1 / (rules.FAST_SAMPLES * record.period)
 
 
 def in_followed_band(force: np.ndarray, record: Record, band_hz: float) -> np.ndarray:
-    """The ``force`` (n,) [N] that keeps a model on ``record``, low-passed to the band of the law that follows."""
+    """The ``force`` (n,) [N] that keeps a model on ``record``, low-passed to the band of the following law."""
     return low_pass(force, rules.COMPARED * bandwidth(record, band_hz), record.period)
 
 
 def drive(start: dict[str, Any], axis: Axis, record: Record, mass: float, band_hz: float) -> dict[str, Any]:
-    """Keywords of :meth:`Plant.closed_loop` with the initial state and the drive of ``record``.
+    """Keywords of :meth:`Plant.closed_loop`: initial state and inputs of ``record``.
 
-    ``start`` is :func:`~emps_design.simulation.run.driven_by` of ``axis`` and ``record``; ``mass`` [kg] is the model's
-    and scales the gains of the law that follows: the loop of a heavier model would be slower and show less of the
-    force, that of a much lighter one too fast for the sampling. ``band_hz`` is the :func:`band` of the record.
+    ``start`` is :func:`~emps_design.simulation.run.driven_by` of ``axis`` and ``record``. ``mass`` [kg] is that of the
+    model and scales the gains of the following law: otherwise the loop of a heavier model would be slower and show less
+    of the force, and that of a much lighter one too fast for the sampling. ``band_hz`` is the :func:`band` of the
+    record.
     """
     if "law" in start:
         return dict(start)
-    own = bandwidth(record, band_hz)
-    rate = 2 * np.pi * own  # rad/s
-    moved = min(np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0), mass * _fastest(record) / own)
-    kp, kv = rules.QUARTER * rate, moved * rate / axis.drive.gain
+    loop_bandwidth = bandwidth(record, band_hz)
+    rate = 2 * np.pi * loop_bandwidth  # rad/s
+    scale = min(np.hypot(mass, axis.mechanics.mass) / np.sqrt(2.0), mass * _fastest(record) / loop_bandwidth)
+    kp, kv = rules.QUARTER * rate, scale * rate / axis.drive.gain
     law = position_pd.LAW.law(position_pd.Table(kp=kp, kv=kv), axis, record.period)
     past = np.concatenate((np.full(2, record.q[0]), record.q[:-2]))
-    # The law brakes its own velocity: leading the reference by v/kp makes it act on the difference of velocities.
+    # The law damps the absolute velocity; a reference that leads by v/kp makes it damp the velocity error.
     lead = (record.q - past) / (2 * record.period) / kp
     return {**start, "law": law, "reference": record.q + lead, "voltage_noise": record.u}
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
-    """The ``records`` of an ``axis``."""
+class RecordSet:
+    """The ``records`` of an ``axis``, and quantities computed from them once."""
 
     axis: Axis
     records: tuple[Record, ...]
@@ -119,7 +120,7 @@ class Recorded:
 
     @cached_property
     def starts(self) -> tuple[dict[str, Any], ...]:
-        """Drive of the simulation of every record, without a law that follows its motion."""
+        """Inputs of the simulation of every record, without the law that follows the recorded motion."""
         return tuple(driven_by(self.axis, record) for record in self.records)
 
     @cached_property
@@ -134,7 +135,7 @@ class Recorded:
 
     @cached_property
     def off_commands(self) -> tuple[np.ndarray | None, ...]:
-        """Commands (n,) of the law along every record in which the motor is off at times, None for the others."""
+        """Commands (n,) of the law along every record with the motor off at times, None for the others."""
         off = [not self.follows and record.enable is not None and not record.enable.all() for record in self.records]
         return tuple(self.commands(i, record.q) if off[i] else None for i, record in enumerate(self.records))
 
@@ -151,8 +152,8 @@ class Recorded:
         command, record = self.off_commands[number], self.records[number]
         if command is None:
             return 0.0
-        more = motor_force(self.axis, replace(record, u=command - self.commands(number, q), enable=None))
-        return np.where(record.enable == 0.0, more, 0.0)
+        difference = motor_force(self.axis, replace(record, u=command - self.commands(number, q), enable=None))
+        return np.where(record.enable == 0.0, difference, 0.0)
 
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
@@ -163,12 +164,12 @@ class Recorded:
 def acceleration_band(record: Record) -> float:
     """Band [Hz] in which the encoder's noise is a small part of the acceleration, at least ``rules.CUTOFF_HZ``.
 
-    A missing inertia changes the response of the loop up to its bandwidth. The noise, taken as white, is the median
-    size of the position above the fastest motion; impacts are motion.
+    A missing inertia changes the response of the loop up to its bandwidth. The noise, assumed white, comes from the
+    median of the position above the fastest motion, so that impacts do not count as noise.
     """
     fastest = rules.FASTEST / record.period
-    beyond = np.abs(record.q - low_pass(record.q, fastest, record.period))
-    noise = (np.median(beyond) / 0.6745) ** 2 / (1.0 - 2.0 * rules.FASTEST)
+    high_passed = np.abs(record.q - low_pass(record.q, fastest, record.period))
+    noise = (np.median(high_passed) / 0.6745) ** 2 / (1.0 - 2.0 * rules.FASTEST)
     density = 2.0 * record.period * noise * (2.0 * np.pi) ** 4  # of the acceleration over f^4 [m^2/s^4/Hz^5]
     size = np.var(motion(record, rules.CUTOFF_HZ).a)
     most = (5.0 * rules.NOISY**2 * size / max(density, 1e-300)) ** 0.2
@@ -177,10 +178,10 @@ def acceleration_band(record: Record) -> float:
 
 @dataclass(frozen=True)
 class Split:
-    """Boundaries of strokes and laps [samples], and the samples that fit and that select, as boolean arrays.
+    """Strokes and length of a lap [samples], and the fitting and the selecting samples as boolean arrays.
 
-    Laps alternate between fitting and selecting where there are more than three (the start of the first is left out),
-    strokes otherwise, or parts of strokes where there are too few, so that both cover the whole time.
+    With at least three laps, laps alternate between fitting and selecting (the start of the first is excluded);
+    otherwise strokes, or parts of strokes if these are too few. So both cover the whole time.
     """
 
     strokes: tuple[tuple[int, int], ...]
@@ -200,15 +201,15 @@ class Split:
 
 
 def split(record: Record, fit_share: np.ndarray | None = None, before: int = 0, parts: int = 1) -> Split:
-    """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits what may be used at all.
+    """Split ``record`` by whole strokes; ``fit_share`` (n,) bool limits the samples that may be used at all.
 
-    ``before`` is the number of strokes of the records before this one, so that single strokes alternate too; each
-    stroke is split into ``parts``.
+    ``before`` is the number of strokes in the records before this one, so that records with a single stroke alternate
+    too; each stroke is split into ``parts``.
     """
     n = len(record)
     allowed = np.ones(n, bool) if fit_share is None else fit_share.copy()
     allowed[: rules.START_UP] = False
-    # Nor after a gap, during which the model may have drifted away.
+    # Samples near a gap are excluded: during the gap the model may drift away from the record.
     allowed &= np.convolve(record.in_gap, np.ones(2 * rules.START_UP + 1), "same") < 0.5
     strokes = find_strokes(record.q_ref, record.period)
     if parts > 1:
@@ -231,13 +232,13 @@ def _parts(q: np.ndarray, start: int, stop: int, count: int) -> list[tuple[int, 
     [(0, 80), (80, 400)]
     """
     travel = np.cumsum(np.abs(np.diff(q[start:stop], prepend=q[start])))
-    spent = np.arange(stop - start) / (stop - start) + travel / max(float(travel[-1]), 1e-300)
-    edges = [start, *(start + np.searchsorted(spent, spent[-1] * np.arange(1, count) / count)).tolist(), stop]
+    progress = np.arange(stop - start) / (stop - start) + travel / max(float(travel[-1]), 1e-300)
+    edges = [start, *(start + np.searchsorted(progress, progress[-1] * np.arange(1, count) / count)).tolist(), stop]
     return list(itertools.pairwise(edges))
 
 
 def find_lap(q_ref: np.ndarray) -> int:
-    """Return the period [samples] of ``q_ref`` (n,) [m], 0 where it does not repeat within n/2."""
+    """The period [samples] of ``q_ref`` (n,) [m], 0 if it does not repeat within n/2."""
     n = q_ref.size
     centred = q_ref - q_ref.mean()
     energy = np.concatenate(([0.0], np.cumsum(centred**2)))
@@ -259,7 +260,7 @@ def find_lap(q_ref: np.ndarray) -> int:
 def find_strokes(q_ref: np.ndarray, period: float) -> tuple[tuple[int, int], ...]:
     """Strokes (start, stop) between reversals of the reference (n,) [m]; standstill belongs to the stroke before it.
 
-    A shaft that turns one way has none: there every piece of at least one turn is a stroke.
+    For a shaft that turns in one direction, pieces of at least one turn are the strokes.
     """
     velocity = np.gradient(q_ref, period)
     direction = np.sign(velocity) * (np.abs(velocity) > 1e-3 * np.abs(velocity).max())

@@ -1,4 +1,4 @@
-"""What a diagnosis takes: records, axis, what confirms, and how far to search."""
+"""The request of a diagnosis: records, axis, held-out data, and options of the search."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ INTERVAL: dict[str, Any] = {"parse": interval_from_text, "typed": str | None}
 
 @dataclass(frozen=True)
 class DiagnosisRequest(Request):
-    """What :func:`emps_design.diagnose` takes.
+    """The parameters of :func:`emps_design.diagnose`.
 
-    Python alone sets ``library``, the effects to try, by default all known ones, scaled to the axis, and ``searched``,
-    which gets the model at the end of each search, before it is confirmed.
+    Available from Python only: ``library``, the effects to try (default: all known ones, scaled to the axis), and
+    ``searched``, a callback that receives the model at the end of each search, before it is confirmed.
     """
 
     records: tuple[Record, ...] = option(
@@ -54,7 +54,7 @@ class DiagnosisRequest(Request):
     axis: Axis = option(..., "axis file or embedded machine", typed=str, read=read_axis)
     holdout: Record | None = option(
         None,
-        "a record to confirm on, opened once, at the end; by default a part of RECORD",
+        "a record to confirm on, used once at the end; by default a part of RECORD",
         typed=Path | None,
         read=read_record,
     )
@@ -63,13 +63,13 @@ class DiagnosisRequest(Request):
     seed: int = option(0, "seed of the healthy reference", limits=(0, None))
     searches: int = option(
         0,
-        "calibrate on so many simulated records, searched like this one (199: minutes)",
+        "calibrate on this many simulated healthy records, searched like RECORD (199: minutes)",
         flags=("--healthy-runs",),
         limits=(0, 100_000),
     )
     closest: bool = option(
         False,
-        "also look for the model that follows most closely, cause or not",
+        "also look for the model that follows the records most closely",
         flags=("--closest-model",),
     )
     library: Sequence[Effect] | None = field(default=None, kw_only=True)
@@ -83,6 +83,6 @@ class DiagnosisRequest(Request):
             raise InputError("give `holdout` or `confirm_time`, not both")
 
     def keep(self, axis: Axis) -> None:
-        """Hand out the model with which a search ended."""
+        """Pass the model at the end of a search to the callback ``searched``."""
         if self.searched is not None:
             self.searched(axis)

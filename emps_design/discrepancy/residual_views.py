@@ -1,4 +1,4 @@
-"""Views of the residual force over each quantity it could depend on, before and after."""
+"""Views of the residual force over each quantity on which it could depend, before and after."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SPECTRAL = ("frequency", "period of position")  # quantities over which a view h
 
 @dataclass(frozen=True)
 class View:
-    """Mean residual force [N] over one quantity, before and after; ``band`` is two deviations of noise alone."""
+    """Mean residual force [N] over one quantity, before and after; ``band`` is two standard deviations of the noise."""
 
     quantity: str
     unit: str
@@ -39,11 +39,11 @@ def views(
     axis: Axis,
     cutoff_hz: float = rules.CUTOFF_HZ,
 ) -> list[View]:
-    """Residual force over each quantity it could depend on.
+    """Residual force over each quantity on which it could depend.
 
-    Velocity, position (both ways), acceleration, motor force, distance of the command from the limit of the ``axis``,
-    time from a reversal, period of position, time, frequency: the missing force of the models before and after, on the
-    samples of ``window`` (n,) bool; ``floor`` [N] is the noise, low-passed at ``cutoff_hz`` [Hz].
+    Velocity, position (in each direction), acceleration, motor force, margin of the command to the limit of the
+    ``axis``, time from a reversal, period of position, time, frequency: the missing force of the models before and
+    after, on the samples of ``window`` (n,) bool. ``floor`` [N] is the noise, low-passed at ``cutoff_hz`` [Hz].
     """
     motion, motor_force = before.motion, f"motor {axis.units.word('force')}"
     pairs = (before.force, after.force)
@@ -56,10 +56,10 @@ def views(
             result.append(_binned("position", "m", motion.q, pairs, moving, noise, 60, title))
     result.append(_binned("acceleration", "m/s^2", motion.a, pairs, window, noise, 41))
     result.append(_binned(motor_force, "N", before.motion.tau, pairs, window, noise, 41))
-    left = f"{axis.units.word('voltage')} left to the limit"
-    spare = axis.drive.command_limit - np.abs(np.asarray(motion.voltage))
+    to_limit = f"{axis.units.word('voltage')} margin to the limit"
+    reserve = axis.drive.command_limit - np.abs(np.asarray(motion.voltage))
     resisting = tuple(np.sign(motion.tau) * force for force in pairs)
-    result.append(_binned(left, "V", spare, resisting, window, noise, 41, f"along the {motor_force}"))
+    result.append(_binned(to_limit, "V", reserve, resisting, window, noise, 41, f"along the {motor_force}"))
     result += _around_reversals(motion, pairs, window, noise)
     result += _periods(motion, pairs, window & before.away)
     result.append(_binned("time", "s", motion.t, pairs, window, noise, 80))
@@ -68,7 +68,7 @@ def views(
 
 
 def shown(view: View) -> float:
-    """Part of the gap that a view shows [N rms]: by the means in its bins, or the strongest line of a spectrum."""
+    """Part of the gap [N rms] that a view shows: by the means in its bins, or the strongest line of a spectrum."""
     parts = []
     for y in (view.before, view.after):
         kept = y[np.isfinite(y)]
@@ -80,9 +80,9 @@ def shown(view: View) -> float:
 def _around_reversals(
     motion: Motion, pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, noise: float, drawn: float = 0.2
 ) -> list[View]:
-    """Force in the new direction of motion over the time from the reversal, where there are two of them at least.
+    """Force in the new direction of motion over the time from the reversal, if there are at least two reversals.
 
-    ``drawn`` [s] is shown on both sides.
+    ``drawn`` [s] is the range on both sides.
     """
     sure = np.nonzero(np.abs(motion.v) > slowest(motion.v))[0]
     if sure.size == 0:
@@ -95,14 +95,14 @@ def _around_reversals(
         near = np.abs(motion.t - motion.t[turn]) <= drawn
         since[near], towards[near] = (motion.t - motion.t[turn])[near], np.sign(motion.v[turn])
     kept = window & np.isfinite(since)
-    if not kept.any():  # all of them lie outside the window
+    if not kept.any():  # no reversal lies inside the window
         return []
     forces = tuple(towards * force for force in pairs)
     return [_binned("time from reversal", "s", since, forces, kept, noise, 60, "in the new direction")]
 
 
 def _periods(motion: Motion, pairs: tuple[np.ndarray, np.ndarray], away: np.ndarray) -> list[View]:
-    """Amplitude of the force at each period of position (Lomb and Scargle), away from reversals."""
+    """Amplitude of the force at each period of position (Lomb-Scargle), away from reversals."""
     kept = thin(away)
     stroke = float(np.ptp(motion.q))
     if kept.size < 200 or stroke <= 0:
@@ -125,7 +125,7 @@ def _binned(
     bins: int,
     title: str = "",
 ) -> View:
-    """The means of a pair of forces in ``bins`` of ``x`` on the samples ``kept``, in bins with more than five."""
+    """Means of a pair of forces in ``bins`` of ``x`` on the samples ``kept``; nan in bins with at most five samples."""
     edges = np.linspace(float(x[kept].min()), float(x[kept].max()) + 1e-12, bins + 1)
     place = np.clip(np.digitize(x[kept], edges) - 1, 0, bins - 1)
     count = np.bincount(place, minlength=bins)
@@ -148,7 +148,7 @@ def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: 
 
 
 def force_map(missing: MissingForce, units: Units, cells: int = 36) -> dict[str, Any]:
-    """Mean missing force [N] over position and velocity, in ``cells`` of each, away from reversals; assumes no effect.
+    """Mean missing force [N] over position and velocity, in ``cells`` of each, away from reversals.
 
     ``force`` has one row per velocity; None in cells without samples.
     """
@@ -161,8 +161,8 @@ def force_map(missing: MissingForce, units: Units, cells: int = 36) -> dict[str,
     mean = np.histogram2d(v, q, edges, weights=force)[0] / np.maximum(count, 1)
     centres = [(0.5 * (e[1:] + e[:-1])).tolist() for e in edges]
     rows = [[float(f) if n else None for f, n in zip(*row, strict=True)] for row in zip(mean, count, strict=True)]
-    own = {"velocity": units.unit("m/s"), "position": units.unit("m"), "force": units.unit("N")}
-    return {"velocity": centres[0], "position": centres[1], "force": rows, "units": own}
+    axis_units = {"velocity": units.unit("m/s"), "position": units.unit("m"), "force": units.unit("N")}
+    return {"velocity": centres[0], "position": centres[1], "force": rows, "units": axis_units}
 
 
 def spectrum_over_time(
@@ -180,5 +180,5 @@ def spectrum_over_time(
     frequency, time, density = spectrogram(missing.force, rate, nperseg=length, noverlap=overlap)
     kept = (frequency > 0) & (frequency <= rules.LINES_HZ[1])
     rms = np.sqrt(density[kept] * (frequency[1] - frequency[0]))
-    own = {"time": "s", "frequency": "Hz", "force": units.unit("N")}
-    return {"time": time.tolist(), "frequency": frequency[kept].tolist(), "force": rms.tolist(), "units": own}
+    axis_units = {"time": "s", "frequency": "Hz", "force": units.unit("N")}
+    return {"time": time.tolist(), "frequency": frequency[kept].tolist(), "force": rms.tolist(), "units": axis_units}

@@ -16,7 +16,7 @@ from emps_design.discrepancy.gap import Gap, Prediction
 from emps_design.discrepancy.noise_floor import Floor
 from emps_design.discrepancy.placement import EVERYWHERE
 from emps_design.discrepancy.residual_views import View as ResidualView
-from emps_design.discrepancy.unexplained import FROM_THE_LAW, like
+from emps_design.discrepancy.unexplained import like
 from emps_design.discrepancy.view import diagnosis_view
 from emps_design.frequency_response.coupling import ResponseComparison
 from emps_design.quantities import inside, rounded
@@ -28,9 +28,9 @@ SCHEMA = "emps-design/diagnosis/1"
 
 @dataclass(frozen=True)
 class Finding:
-    """One accepted effect: where it acts, its parameters, and the force gap before and after it was added [N].
+    """One accepted effect: where it acts, its parameters, and the force gap [N] before and after it was added.
 
-    ``confirmed`` is its share on the held-out record, with the deviation; None where not determined.
+    ``confirmed`` is its share on the held-out record, with the standard deviation; None if not determined.
     """
 
     effect: str
@@ -78,7 +78,7 @@ class Finding:
         elif force["sense"] == "more or less":
             text = f"the motor's {units.word('force')} differs from the model's by {much}"
         else:
-            text = f"the motor needs {much} {force['sense']} than the model"
+            text = f"the motor needs {much} {force['sense']} than the model predicts"
         return text if place == EVERYWHERE else f"{place}, {text}"
 
 
@@ -97,11 +97,11 @@ def in_unit(value: float, std: float, unit: str, units: Units) -> str:
 
 @dataclass(frozen=True)
 class Diagnosis(Viewed):
-    """The answer of :func:`emps_design.discrepancy.diagnose`.
+    """The result of :func:`emps_design.discrepancy.diagnose`.
 
-    ``trace`` is the force over time of the record that confirms, or of the training record; ``response`` the frequency
-    response of excited records, beside the extended model; ``closest`` the model that follows the records most closely,
-    where requested.
+    ``trace`` is the force over time of the held-out record, or of the training record; ``response`` the frequency
+    response of excited records beside that of the extended model; ``closest`` the model that follows the records most
+    closely, if requested.
     """
 
     verdict: str
@@ -125,8 +125,7 @@ class Diagnosis(Viewed):
 
     @property
     def sentence(self) -> str:
-        """The answer in one sentence, as on the first screen of the report, with the confirming data and the parts of
-        the records that were not searched."""
+        """The result in words, followed by the held-out data and the parts of the records that were not searched."""
         confirming = self.details.get("held_out", {}).get("text", "")
         return " ".join(
             [self._answer, *filter(None, [confirming]), *(f"{rest}." for rest in self.details.get("rest", ()))]
@@ -150,52 +149,53 @@ class Diagnosis(Viewed):
                 )
             rest = ""
             if self.verdict == "partly-named":
-                rest = f" Something else is missing that no effect explains: {self.details['unexplained']['text']}."
+                rest = f" No effect explains the rest: {self.details['unexplained']['text']}."
             return f"{text[0].upper()}{text[1:]}; {gap}.{rest}"
         if self.details.get("interrupted") and not self.findings:
-            return f"Interrupted before anything was found; {gap}."
+            return f"Interrupted before an effect was found; {gap}."
         if self.verdict == "unnamed":
             unexplained = self.details["unexplained"]
             place = unexplained["place"]
             where = "" if place == EVERYWHERE else f", most of it {place}"
             known = "".join(f"{finding.in_words(units)}; " for finding in self.findings)  # from the controller's law
-            missed = remaining
+            errors = remaining
             if self.holdout is not None:
                 part = "record" if self.trace.window is None else "part"
                 sides = (
-                    f"{remaining} of the held-out {part}",
-                    f"{force(self.train.extended)} of the training {part}",
+                    f"{remaining} on the held-out {part}",
+                    f"{force(self.train.extended)} on the training {part}",
                 )
-                missed = ", ".join(sides if unexplained["record"] == "holdout" else sides[::-1])
-            text = f"{known}{'beside that ' if known else ''}the model misses {missed}"
+                errors = ", ".join(sides if unexplained["record"] == "holdout" else sides[::-1])
+            text = f"{known}{'in addition, ' if known else ''}the {error} is {errors}"
             text = f"{text[0].upper()}{text[1:]} (noise {noise}){where}, and no effect of the library explains it"
             if "law_gap" in unexplained:
-                text += f", nor {units.quantity(unexplained['law_gap'], 'V', rounded)} rms {FROM_THE_LAW}"
+                law_gap = units.quantity(unexplained["law_gap"], "V", rounded)
+                text += f", nor the {law_gap} rms by which the command differs from the controller's law"
             if unexplained["kind"]:
                 text += f"; {like(unexplained['kind'], unexplained['kind_leaves'], units)}"
             return f"{text}."
         least = self.details.get("least_visible")
-        rest = f"; an effect of {least} or more would have been seen" if least else ""
+        rest = f"; an effect of {least} or more would have been found" if least else ""
         if self.verdict == "parameters-only":
             changed = self.details.get("changed", "")
-            return f"Only the numbers of the axis file are off ({changed}); {gap}{rest}."
+            return f"Only the parameters of the axis file are wrong ({changed}); {gap}{rest}."
         return f"Nothing is missing from the model: {error} {before}, noise {noise}{rest}."
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract's document, with further entries for the report where known.
+        """The contract's document, with further entries for the report.
 
         | key | content |
         |---|---|
         | ``simulation`` | "closed loop", or "inverse model" where the controller is not known |
         | ``unexplained`` | for ``unnamed`` and ``partly-named``: {rms [N], share, over, predicted, text, map, ...} |
         | ``regions`` | of a ``where``, if tested: {false_discovery_rate, proposed, passed, speed, position, time} |
-        | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: what the baseline misses |
+        | ``spectrum_over_time`` | {time [s], frequency [Hz], force [N]}: residual of the baseline |
         | ``candidates`` | [{effect, label, gap [N], statistic, threshold, accepted: bool, note}], best first |
         | ``parameters`` | {name: {unit, axis, baseline: {value, std}, extended: {value, std}}} |
-        | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been seen |
-        | ``experiment`` | :meth:`Experiment.to_dict`: what would separate what these data cannot, or None |
-        | ``response`` | of records with an excitation: {coupling, model}, as those of ``frf --json`` |
-        | ``closest`` | where asked for: {text, model_file, effects, gap, gap_inverse_60hz, share_of_force} |
+        | ``not_excluded`` | [{effect, label, size, unit, text}]: the smallest size that would have been found |
+        | ``experiment`` | :meth:`NextExperiment.to_dict`: a record that separates what these data cannot, or None |
+        | ``response`` | of records with an excitation: {coupling, model}, as in ``frf --json`` |
+        | ``closest`` | if requested: {text, model_file, effects, gap, gap_inverse_60hz, share_of_force} |
         | ``held_out`` | {what, chosen: given, kept, in turn or none, time [s] or None, text} of ``gap.holdout`` |
         | ``records`` | [{name, role, sha256}] with role "train" or "holdout" |
         | ``calibration`` | str, how the threshold was found |
@@ -225,7 +225,7 @@ class Diagnosis(Viewed):
         }
 
     def with_file(self, model_file: str) -> Diagnosis:
-        """The same with the name of the model's file, beside which the reference of the experiment is written."""
+        """The same with the name of the model file; the reference of the experiment is written beside it."""
         written = None if self.experiment is None else self.experiment.written()
         return replace(self, model_file=model_file, experiment=written)
 

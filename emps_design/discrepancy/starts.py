@@ -1,8 +1,8 @@
-"""Where to start fitting an effect: shapes from its own proposals or starts, linear parameters by regression.
+"""Starting values of an effect: shapes from its own proposals or starts, linear parameters by regression.
 
-Every start is judged in closed loop by one simulation. Its change of the whitened residual is the effect's *signature*;
-without the part that refitting the present model absorbs, the residual along the signature is the first-order gain of a
-fit, whatever the amplitude. That needs no regressor.
+Every start is evaluated in closed loop by one simulation. The change that it makes in the whitened residual is the
+*signature* of the effect. Without the part that a refit of the present model absorbs, the projection of the residual
+onto the signature gives the first-order gain of a fit, for any amplitude. This needs no regressor.
 
 The shares of the residual that effects explain are also shown as suspects while a search runs.
 """
@@ -34,7 +34,7 @@ class Start:
     """A hypothesis to start a fit from, its first-order ``gain`` in whitened cost, its unit ``signature`` (n,).
 
     ``size`` is the length of the signature before normalisation, in standard deviations of the noise. ``anchored``: the
-    rest of the model is the fitted one, so that its tangent holds.
+    rest of the model is the fitted one, so its tangent is valid.
     """
 
     hypothesis: Hypothesis
@@ -51,7 +51,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Tangent:
-    """What refitting a model absorbs: an orthonormal ``basis`` (n, k), and the ``residual`` (n,) orthogonal to it.
+    """The changes that a refit of a model absorbs: orthonormal ``basis`` (n, k), ``residual`` (n,) orthogonal to it.
 
     ``whole`` (n,) is the whitened residual before the projection.
     """
@@ -75,20 +75,20 @@ def tangent(current: Fit, part: str = "fit", slots: tuple[Slot, ...] | None = No
 
 
 def screen(current: Fit, library: tuple[Effect, ...], absorbed: Tangent) -> list[list[Start]]:
-    """Starts of each effect of ``library`` that ``current`` does not have, the most promising of each first."""
+    """Starts of each effect of ``library`` that ``current`` does not have, the one with the largest gain first."""
     missing = missing_force(current)
     names = current.model.names
     absent = [effect for effect in library if effect.name not in names and effect.search.after in ("", *names)]
-    # Effects of drive and sensor, last in a library, take longest; short ones at the end keep both cores busy.
-    tried = side_by_side(starts, [(current, effect, missing, absorbed) for effect in reversed(absent)])
-    return [some for some in reversed(tried) if some]
+    # Effects of drive and sensor, last in a library, take longest; starting with them keeps both cores busy.
+    groups = side_by_side(starts, [(current, effect, missing, absorbed) for effect in reversed(absent)])
+    return [group for group in reversed(groups) if group]
 
 
 def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], absorbed: Tangent) -> list[Start]:
     """Return the starts of ``current`` with ``effect`` added, the one with the largest gain first.
 
-    A gap so large that it bent the fitted baseline is also evaluated from the axis file's baseline: there the gain is
-    the reduction by the start itself.
+    If the gap is so large that it biases the fitted baseline, the starts are also evaluated with the baseline of the
+    axis file; there the gain is the cost reduction by the start itself.
     """
     base = absorbed.whole
     axis_model = current.with_axis_baseline().model
@@ -103,9 +103,9 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
             if size <= (rules.SLIGHT * np.sqrt(base.size) if current.problem.states else 0.0):
                 return []  # its change may be a function of the state
             signature = change / size
-            # The residual falls when the signature points against it; an effect of the wrong sign gains nothing.
-            along = float(absorbed.residual @ signature)
-            begins.append(Start(trial, along**2 if along < 0 else 0.0, signature, size, anchored=True))
+            # The cost falls if the signature is opposite to the residual; an effect of the wrong sign gains nothing.
+            projection = float(absorbed.residual @ signature)
+            begins.append(Start(trial, projection**2 if projection < 0 else 0.0, signature, size, anchored=True))
             if far:
                 other = current.with_model(axis_model.with_effect(effect, values))
                 residual = other.residual("fit")
@@ -118,14 +118,14 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
 
 
 def bent(current: Fit, cost: float) -> bool:
-    """Whether a gap of ``cost`` per sample is large enough to bend the fitted baseline."""
+    """Whether a gap of ``cost`` per sample is large enough to bias the fitted baseline."""
     return cost > rules.BENT and not current.model.effects
 
 
 def either_baseline(fitted: Hypothesis) -> list[Hypothesis]:
-    """``fitted``, and the same effects on the axis file's baseline where mass or a friction is far from it.
+    """``fitted``, and the same effects with the baseline of the axis file if mass or friction differs much from it.
 
-    Missing effects, or ones that imitate them, may have bent the fitted baseline.
+    Missing effects, or effects that imitate them, may have biased the fitted baseline.
     """
     alternative = fitted.with_axis_baseline()
     numbers = np.array([fitted.model.baseline, alternative.model.baseline])[:, [MASS, VISCOUS, COULOMB]]
@@ -143,29 +143,29 @@ def _values(current: Hypothesis, effect: Effect, missing: tuple[MissingForce, ..
     unknown = problem.states or tuple(np.zeros((gap.force.size, 0)) for gap in missing)
     for gap, split, states in zip(missing, problem.splits, unknown, strict=True):
         if effect.search.propose is not None:
-            force = np.where(split.used, gap.force, 0.0)  # what confirms stays closed
+            force = np.where(split.used, gap.force, 0.0)  # without held-out samples
             proposed = effect.search.propose(gap.motion, force, model.baseline, gap.away)
             shapes = [effect.completed(shape) for shape in proposed]
         else:
             shapes = grid(effect)
         tables.append([_complete(effect, shape, gap, states, model) for shape in shapes])
     # Records with the largest missing force propose; the others take the shape with their own per-record parameters.
-    own = np.array([p.per_record for p in effect.parameters])
+    per_record = np.array([p.per_record for p in effect.parameters])
     rows: list[np.ndarray] = []
-    missed = [np.std(force) for force in problem.pick(tuple(gap.force for gap in missing), "used")]
-    for proposer in sorted(np.argsort(missed)[::-1][: rules.A_FEW]):
+    missing_rms = [np.std(force) for force in problem.pick(tuple(gap.force for gap in missing), "used")]
+    for proposer in sorted(np.argsort(missing_rms)[::-1][: rules.A_FEW]):
         for index, shape in enumerate(tables[proposer]):
             if shape is None:
                 continue
-            theirs = [t[index] if index < len(t) else None for t in tables]
-            row = np.array([shape if values is None else np.where(own, values, shape) for values in theirs])
+            proposals = [t[index] if index < len(t) else None for t in tables]
+            row = np.array([shape if values is None else np.where(per_record, values, shape) for values in proposals])
             if not any(np.array_equal(row, other) for other in rows):
                 rows.append(row)
     return rows
 
 
 def grid(effect: Effect) -> list[dict[str, float]]:
-    """Every combination of the starts of the shapes of ``effect``, in its first form."""
+    """Every combination of the starting values of the shapes of ``effect``, in its first form."""
     shapes = [p for p in effect.parameters if p.starts and p.default is None]
     names = [p.name for p in shapes]
     combinations = product(*(p.starts for p in shapes))
@@ -175,9 +175,9 @@ def grid(effect: Effect) -> list[dict[str, float]]:
 def _complete(
     effect: Effect, shape: dict[str, float], missing: MissingForce, states: np.ndarray, model: Candidate
 ) -> np.ndarray | None:
-    """Parameters (n_parameters,) of ``shape``, missing ones by regression of the missing force, within bounds.
+    """Parameters (n_parameters,) of ``shape``, within bounds; those not given by regression of the missing force.
 
-    Beside ``states`` (n, k), which an unknown force may explain. None where the regression is impossible.
+    ``states`` (n, k) are further regressors, for an unknown force. None if the regression is impossible.
     """
     absent = [p.name for p in effect.parameters if p.name not in shape]
     if absent and effect.regressor is not None and missing.away.sum() > rules.FEWEST_TO_SELECT:
@@ -202,17 +202,17 @@ def _complete(
         value = min(max(shape[p.name], p.lower), p.upper)
         if p.linear and p.unit == "N":  # a column near zero on these samples does not limit its amplitude
             value = min(max(value, -strongest), strongest)
-        # A signature needs some of the effect, even where the regression wants none.
+        # A signature needs a nonzero amplitude, even if the regression gives zero.
         least = rules.SLIGHT * p.scale if p.linear and p.scale and not p.per_record else 0.0
         values.append(value if abs(value) >= least else float(np.copysign(least, value)))
     return np.array(values)
 
 
-def at_first_sight(hypothesis: Hypothesis, library: tuple[Effect, ...]) -> dict[str, float]:
-    """Share of the missing force that the columns of each effect of ``library`` follow, by label.
+def quick_suspects(hypothesis: Hypothesis, library: tuple[Effect, ...]) -> dict[str, float]:
+    """Share of the missing force that the columns of each effect of ``library`` explain, by label.
 
-    One simulation and regressions, for effects with columns whose shape is known. What mass, friction and offset absorb
-    does not count. It is the first output of a process, so it imports no filter package.
+    One simulation, and regressions for effects whose columns have a known shape; the part explained by mass, friction
+    and offset does not count. This is the first output of a process, so it imports no filter package.
     """
     quick = [effect for effect in library if effect.regressor is not None and effect.search.propose is None]
     explained, total = dict.fromkeys((effect.label for effect in quick), 0.0), 0.0
@@ -261,12 +261,12 @@ def _derivatives(q: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
 def by_signature(screened: list[list[Start]], absorbed: Tangent) -> dict[str, float]:
     """Share of the residual that the best start of each effect explains to first order, by label."""
     total = float(absorbed.residual @ absorbed.residual)
-    best = (some[0] for some in screened if not some[0].model.effects[-1].search.general)
+    best = (group[0] for group in screened if not group[0].model.effects[-1].search.general)
     return {start.model.effects[-1].label: start.gain / total for start in best} if total > 0 else {}
 
 
 def suspects_text(shares: dict[str, float]) -> str:
-    """Text for the stage of a search: the effects with the largest ``shares``, "" where all are small.
+    """The effects with the largest ``shares``, as text for the progress of a search; "" if all are small.
 
     >>> suspects_text({"Backlash": 0.3, "Gravity": 0.02, "End stop": 0.41})
     '; suspects: end stop 41 %, backlash 30 %'

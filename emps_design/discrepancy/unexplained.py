@@ -1,4 +1,4 @@
-"""The unexplained rest: its size, and the variables that predict it on held-out data. The warnings of a diagnosis."""
+"""The unexplained residual: its size, and the variables that predict it on held-out data. Warnings of a diagnosis."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import force_rms
 from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import Share
-from emps_design.discrepancy.gap import most_missed
+from emps_design.discrepancy.gap import record_of_largest_residual
 from emps_design.discrepancy.placement import EVERYWHERE, extent, placement, where_document
 from emps_design.discrepancy.preparation import HeldOut
 from emps_design.discrepancy.problem import Hypothesis
@@ -25,37 +25,35 @@ from emps_design.quantities import rounded, share_asked
 from emps_design.units import Units
 
 GAIN_KNOWN = (
-    "the {force} gain of the drive is known: an error of it scales every mechanical parameter and shows nowhere else"
+    "the {force} gain of the drive is known: an error in it scales all mechanical parameters and has no other effect"
 )
 ONE_FORCE = (
-    "a Coulomb asymmetry and a constant {force} are one and the same in any record, and both are the constant {force} "
+    "a Coulomb asymmetry and a constant {force} cannot be separated in any record, and both count as constant {force} "
     "here"
 )
 ASSUMPTIONS = (GAIN_KNOWN, "the drive holds each {voltage} over the period that follows its sample", ONE_FORCE)
 FOLLOWED = (
-    "the controller is not known: the models follow the recorded motion and {voltage}, and what the controller itself "
-    "adds to the {voltage} cannot be checked"
+    "the controller is unknown: the models follow the recorded motion and {voltage}, and a disturbance added by the "
+    "controller cannot be detected"
 )
-
-FROM_THE_LAW = "by which the command differs from the controller's law"
 
 
 def calibration_in_words(search: Outcome) -> str:
-    """The gain that a finding needed, and its origin, as text."""
+    """The gain in whitened cost that a finding needs, and how it was found, as text."""
     healthy, runs = search.healthy, search.healthy.largest.size
     level = max(rules.LEVEL, 1 / (runs + 1))
     made = f"{runs} simulated healthy records, each searched like this one"
     if not healthy.searched:
         made = f"{runs} healthy references made of resampled noise"
     return (
-        f"A finding must gain more than {healthy.threshold:.1f} in whitened cost, the largest gain of any "
-        f"candidate in {100 * level:.2g} % of {made}, and more than {100 * rules.WORTH:g} % of the cost "
-        f"({100 * rules.WORTH_AT_FLOOR:g} % where it is noise already); the noise is {search.floor.source}."
+        f"A finding must reduce the whitened cost by more than {healthy.threshold:.1f}, which the best candidate "
+        f"reaches in {100 * level:.2g} % of {made}, and by more than {100 * rules.WORTH:g} % "
+        f"({100 * rules.WORTH_AT_FLOOR:g} % where only noise is left); the noise is {search.floor.source}."
     )
 
 
 def warnings(validation: Validation) -> list[Message]:
-    """Messages on everything that limits the verdict."""
+    """Messages about everything that limits the verdict."""
     preparation = validation.outcome.preparation
     remarks = [*preparation.warnings, *validation.outcome.warnings, *_limits(validation)]
     if preparation.held_out is not None:
@@ -67,25 +65,25 @@ def warnings(validation: Validation) -> list[Message]:
     if validation.in_free_run:
         before, after = (units.quantity(error, "m/s", rounded) for error in validation.in_free_run)
         text = (
-            f"a model with {given_up} follows the record, but driven by the recorded command alone it misses the "
-            f"velocity by {after} rms, more than the {before} without: it does not stand"
+            f"a model with {given_up} follows the record, but driven by the recorded command alone its velocity error "
+            f"is {after} rms, more than the {before} without: it is rejected"
         )
         remarks.append(warning("misses-in-free-run", text, effects=validation.given_up))
     elif validation.given_up:
         text = (
-            f"a model with {given_up} explains {100 * validation.share:.0f} % of the gap, and does not stand: too "
-            "little of it, not on both records, or too many others would do"
+            f"a model with {given_up} explains {100 * validation.share:.0f} % of the gap and is rejected: this is too "
+            "little, or not on both records, or too many other effects explain as much"
         )
         remarks.append(warning("does-not-stand", text, effects=validation.given_up, share=validation.share))
     return remarks
 
 
 def earlier_instants(validation: Validation, index: int) -> list[Message]:
-    """Messages on instants of effect ``index`` that are earlier in the part held out than in the fitted part.
+    """Messages about instants of effect ``index`` that are earlier in the held-out part than in the fitted part.
 
-    Per-record parameters were fitted again on the part held out, and kept where that was not clearly better.
+    Per-record parameters were fitted again on the held-out part; the new values are used only if clearly better.
     """
-    kept, held_out = validation.outcome.preparation.confirming, validation.held_out
+    kept, held_out = validation.outcome.preparation.hold_out, validation.held_out
     effect = validation.extended.model.effects[index]
     if kept.chosen != "kept" or kept.time is None or held_out is None or effect.name not in held_out.extended.names:
         return []
@@ -94,7 +92,7 @@ def earlier_instants(validation: Validation, index: int) -> list[Message]:
     return [
         warning(
             "earlier-instant",
-            f"{p.name} is the first in what was fitted: {kept.what}, kept closed, has it at "
+            f"{p.name} is the first one in the fitted data; in {kept.what}, held out, it is at "
             f"{there[place]:.4g} {p.unit}",
             parameter=p.name,
             time=float(there[place]),
@@ -108,28 +106,28 @@ def _limits(validation: Validation) -> list[Message]:
     outcome, extended = validation.outcome, validation.extended
     floor, units = outcome.floor, extended.problem.axis.units
     remarks = [warning("follows-motion", filled(FOLLOWED, units))] if extended.problem.follows else []
-    left = units.quantity(force_rms(extended), "N", rounded)
+    residual = units.quantity(force_rms(extended), "N", rounded)
     if not floor.from_laps:
         text = (
-            f"noise is {floor.source}, not what differs between laps: what is unlike all candidates, and differs "
-            "from stroke to stroke, would pass for it"
+            f"the noise is {floor.source}, not the difference between laps: an effect outside the library that differs "
+            "from stroke to stroke would be taken for noise"
         )
         remarks.append(warning("noise-without-laps", text))
     if validation.verdict in ("named", "ambiguous") and outcome.judge.leaves_structure(extended):
         text = (
-            f"structure remains after the last finding: {left} where noise is "
+            f"structure remains after the last finding: residual {residual}, noise "
             f"{units.quantity(floor.force, 'N', rounded)}; no further effect of the library is clear enough to name"
         )
         remarks.append(warning("structure-remains", text, noise=floor.force))
     if validation.verdict == "unnamed":
         least = units.quantity(force_rms(validation.outcome.path[0]), "N", rounded)
         text = (
-            f"{units.word('mass')} and friction are estimated so that the structure that is left pulls little at them: "
-            f"they leave {left}, where plain least squares would bend them to leave {least}"
+            f"{units.word('mass')} and friction are estimated robustly, so that the unexplained structure biases them "
+            f"little: the residual is {residual}, and {least} with ordinary least squares"
         )
         remarks.append(warning("robust-estimates", text))
     if outcome.preparation.unexplained_law:
-        text = "the controller's law has a gap that no effect explains, taken as known: see u minus the law"
+        text = "the command differs from the controller's law, and no effect explains it: treated as a known input"
         remarks.append(warning("law-gap", text))
     return remarks
 
@@ -139,44 +137,44 @@ def _of_holdout(validation: Validation, held_out: HeldOut) -> list[Message]:
     remarks = []
     for refuted in validation.refuted:
         text = (
-            f"{listed([refuted.name], units)} fitted the training record and is withdrawn: the confirming record asks "
-            f"for {_amount(refuted)} of it"
+            f"{listed([refuted.name], units)} is withdrawn: it fits the training record, but the held-out record needs "
+            f"{_amount(refuted)} of it"
         )
         remarks.append(warning("effect-withdrawn", text, effect=refuted.name, share=refuted.share, std=refuted.std))
     if held_out.added not in ("", *validation.extended.model.names):
-        seen = f"{listed([held_out.added], units)} on the confirming record, seen in its {units.word('voltage')}"
-        text = f"{seen}: taken as known there, by both models"
+        seen = f"{listed([held_out.added], units)} on the held-out record, seen in its {units.word('voltage')}"
+        text = f"{seen}: a known input of both models there"
         remarks.append(warning("effect-of-confirming-record", text, effect=held_out.added))
     elif held_out.law is not None and held_out.law.unexplained:
-        text = "the controller's law has a gap on the confirming record too, taken as known there"
+        text = "the command of the held-out record differs from the controller's law too: treated as a known input"
         remarks.append(warning("law-gap-on-confirming-record", text))
     if validation.held_out is not None and validation.held_out.refitted:
         names = ", ".join(validation.held_out.refitted)
-        text = f"fitted anew on the confirming record, because they belong to one record: {names}"
+        text = f"fitted again on the held-out record, because they differ from record to record: {names}"
         remarks.append(note("fitted-anew", text, parameters=validation.held_out.refitted))
     return remarks
 
 
 def _amount(share: Share) -> str:
-    """The refuted share as text; of a hardly wanted effect the mean share of all weightings."""
+    """The share of a withdrawn effect as text: the refuted one, or the mean of all weightings."""
     confirmed = None if share.refuted else share.confirmed
     return share_asked(share.share, share.std) if confirmed is None else share_asked(**confirmed)
 
 
 def unexplained(validation: Validation) -> dict[str, Any]:
-    """The contract's ``unexplained`` of a validation in which structure is left.
+    """The contract's ``unexplained`` of a validation whose residual has structure.
 
-    ``rms`` [N] is the residual over the noise, ``share`` its part of the gap's mean square; ``over`` are the variables
-    that predict it on data not fitted, best first, and ``predicted`` the share of each. ``record`` says where it shows:
-    "train", or "holdout" where only noise is left of the training data. ``kind`` is the kind of unknown force that
-    explains it, "" where unknown, and ``kind_leaves`` [N] the residual with it, noise included. ``law_gap`` [V] is the
+    ``rms`` [N] is the residual above the noise, ``share`` its part of the gap's mean square; ``over`` are the variables
+    that predict it on held-out data, best first, and ``predicted`` the share of each. ``record`` is where it shows:
+    "train", or "holdout" if the residual of the training data is noise. ``kind`` is the kind of unknown force that
+    explains it, "" if unknown, and ``kind_leaves`` [N] the residual with it, noise included. ``law_gap`` [V] is the
     unexplained difference between the command and the controller's law.
     """
     floor, held_out = validation.outcome.floor.force, validation.held_out
     shown = _where_it_shows(validation)
-    # Confirming data without the cause, such as a push in training alone, say nothing about it.
+    # Held-out data without the cause, such as a push that occurs in training only, say nothing about it.
     judged = validation.train if held_out is None or held_out.remaining_force <= rules.QUIET * floor else held_out
-    most = most_missed(shown)
+    most = record_of_largest_residual(shown)
     remaining = float(np.sqrt(max(min(judged.remaining_force, judged.gap.extended) ** 2 - floor**2, 0.0)))
     share = remaining**2 / max(judged.gap.baseline**2 - floor**2, remaining**2, 1e-30)
     shares = predicted(validation, confirming=judged is held_out)
@@ -194,7 +192,8 @@ def unexplained(validation: Validation) -> dict[str, Any]:
     law_gap = {"law_gap": max(float(np.std(law.gap)) for law in laws)} if laws else {}
     kind_leaves = {"kind_leaves": validation.kind_leaves} if validation.kind else {}
     if laws:
-        text += f", and {units.quantity(law_gap['law_gap'], 'V', rounded)} rms {FROM_THE_LAW}"
+        difference = units.quantity(law_gap["law_gap"], "V", rounded)
+        text += f"; the command differs from the controller's law by {difference} rms"
     return {
         **law_gap,
         **kind_leaves,
@@ -212,34 +211,34 @@ def unexplained(validation: Validation) -> dict[str, Any]:
 
 
 def most_of_it(where: Mapping[str, Any]) -> str:
-    """The place of a residual in ``where``, to go on a sentence; empty where it has none."""
+    """The place of a residual in ``where``, to continue a sentence; empty if it is everywhere."""
     return "" if where["text"] == EVERYWHERE else f", most of it {where['text']}"
 
 
 def follows(predicted: Mapping[str, float]) -> tuple[list[str], str]:
-    """The variables that predict a good part of the residual, best first, and a clause that names them.
+    """The variables that predict more than ``rules.PART`` of the residual, best first, and a clause that names them.
 
     >>> follows({"position": 0.1, "time": 0.5})
-    (['time'], 'it follows time (50 %) on data that it was not fitted to')
+    (['time'], 'on held-out data it follows time (50 %)')
     """
     over = [name for name in sorted(predicted, key=lambda name: -predicted[name]) if predicted[name] > rules.PART]
     if not over:
         return over, "it depends on none of position, velocity, time and load alone"
     parts = [f"{name} ({100 * predicted[name]:.0f} %)" for name in over[: rules.FEW]]
-    return over, f"it follows {' and '.join(parts)} on data that it was not fitted to"
+    return over, f"on held-out data it follows {' and '.join(parts)}"
 
 
 def like(kind: str, leaves: float, units: Units) -> str:
     """Text for a residual that an unknown force of a ``kind`` reduces to ``leaves`` [N], noise included.
 
-    >>> like("friction that remembers the motion before", 0.5, Units())
-    'it is like friction that remembers the motion before, with which 0.50 N would be left'
+    >>> like("friction that depends on the past motion", 0.5, Units())
+    'it is like friction that depends on the past motion, with which the residual is 0.50 N'
     """
-    return f"it is like {kind}, with which {units.quantity(leaves, 'N', rounded)} would be left"
+    return f"it is like {kind}, with which the residual is {units.quantity(leaves, 'N', rounded)}"
 
 
 def _where_it_shows(validation: Validation) -> Hypothesis:
-    """The extended model on the training records, or on the confirming data where only noise is left of the first."""
+    """The extended model on the training records, or on the held-out data if only those show more than noise."""
     data, held_out = validation.outcome.preparation.held_out, validation.held_out
     if data is None or held_out is None or not validation.training_is_quiet:
         return validation.extended
@@ -249,7 +248,7 @@ def _where_it_shows(validation: Validation) -> Hypothesis:
 def predicted(validation: Validation, confirming: bool = True) -> dict[str, float]:
     """Share of the missing force's mean square that each variable predicts on samples not fitted.
 
-    Fitted to the training records and judged on the ``confirming`` data; without, on the selecting strokes.
+    Fitted to the training records and judged on the held-out data, or with ``confirming`` False on selecting strokes.
     """
     extended, data = validation.extended, validation.outcome.preparation.held_out
     missing = missing_force(extended)
@@ -313,7 +312,7 @@ def _design(
 
 
 def _in_one_line(missing: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...]) -> float:
-    """Share of the missing force's mean square within a tenth of its strongest frequency above that of the strokes."""
+    """Share of the missing force's mean square within 10 % of its strongest frequency above that of the strokes."""
     from scipy.signal import periodogram
 
     shares = []

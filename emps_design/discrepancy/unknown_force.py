@@ -1,15 +1,15 @@
 """The missing force of a model, and unknown forces: of one kind with few parameters, or any smooth function of state.
 
-The missing force is what a motor would have to add to the closed-loop simulation to move as measured. With the measured
-and the simulated run of the same reference, both sliding in the same direction,
+The missing force is the force that the motor would have to add in the closed-loop simulation to move as measured. With
+the measured and the simulated run of the same reference, both sliding in the same direction, it is
 
     missing = (F - F_s) - M (qdd - qdd_s) - F_v (qd - qd_s)
 
-whatever hidden states the model has, because they are in its simulation. The hold is the same in both runs.
+for any internal states of the model, because these are in its simulation. The hold is the same in both runs.
 
-A smooth function of the state could be almost anything, and explains most friction too. An unknown force of one kind
-does not explain effects of another kind, so that these are found beside it. Its effect on the motor force is that of
-the closed loop: each column is simulated as a force on the carriage.
+A smooth function of the state also explains most friction. An unknown force of one kind does not explain effects of
+another kind, so these can be found together with it. Its effect on the motor force is that in the closed loop: each
+column is simulated as a force on the carriage.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ Columns = Callable[[Motion, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class MissingForce:
-    """Motion of a record (``motion.tau`` as the model predicts it), missing force (n,) [N], trusted where ``away``."""
+    """Motion of a record, with ``motion.tau`` from the model, and its missing force (n,) [N].
+
+    ``away`` (n,) bool are the samples away from reversals, in which the force is valid.
+    """
 
     motion: Motion
     force: np.ndarray
@@ -45,25 +48,25 @@ class MissingForce:
 
 
 def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tuple[MissingForce, ...]:
-    """Return the missing force of a model, one per record, low-passed at ``cutoff_hz`` [Hz] without phase.
+    """Return the missing force of a model, one per record, low-passed with zero phase at ``cutoff_hz`` [Hz].
 
-    By default at ``rules.CUTOFF_HZ``, or at twice the band of the command where that is faster.
+    Default: ``rules.CUTOFF_HZ``, or twice the band of the command if that is higher.
     """
     problem, baseline = hypothesis.problem, hypothesis.model.baseline
-    gain, bands, result = problem.axis.drive.gain, problem.recorded.bands, []
+    gain, bands, result = problem.axis.drive.gain, problem.record_set.bands, []
     for record, run, split, band in zip(problem.records, hypothesis.runs(), problem.splits, bands, strict=True):
         cut = cutoff_hz or max(rules.CUTOFF_HZ, min(2.0 * band, rules.FASTEST / record.period))
         share = motor_share(problem.axis, record)
-        acting, played = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
-        (measured, acted), (simulated, predicted) = side_by_side(
+        applied, replayed = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
+        (measured, measured_force), (simulated, predicted) = side_by_side(
             lambda moved, driven, cut=cut: (motion(moved, cut), held_force(driven, gain, cut)),
-            [(record, acting), (played, played)],
+            [(record, applied), (replayed, replayed)],
         )
         inertia = baseline[MASS] * (measured.a - simulated.a)
         viscous = baseline[VISCOUS] * (measured.v - simulated.v)
-        force = acted - predicted - inertia - viscous
+        force = measured_force - predicted - inertia - viscous
         away = away_from_reversals(measured.v, record.period) & split.used
-        if away.sum() <= rules.NEGLIGIBLE * split.used.sum():  # a motion that reverses nearly all the time
+        if away.sum() <= rules.NEGLIGIBLE * split.used.sum():  # the motion reverses nearly all the time
             away = away_from_reversals(measured.v, record.period, 0.0) & split.used
         result.append(MissingForce(replace(measured, tau=predicted, voltage=record.u, force_gain=gain), force, away))
     return tuple(result)
@@ -101,19 +104,19 @@ def since_reversal(v: np.ndarray) -> np.ndarray:
 
 
 def beside_state(hypothesis: Hypothesis) -> Hypothesis:
-    """The same model, judged with all smooth functions of its simulated state projected out."""
+    """The same model, with all smooth functions of its simulated state projected out of the residual."""
     return Hypothesis(replace(hypothesis.problem, states=states_of(hypothesis)), hypothesis.model)
 
 
 def states_of(hypothesis: Hypothesis) -> tuple[np.ndarray, ...]:
-    """:func:`smooth_of_state` along the motion that ``hypothesis`` simulates, one array (n, k) per record."""
+    """:func:`smooth_of_state` along the simulated motion of ``hypothesis``, one array (n, k) per record."""
     return tuple(smooth_of_state(run.q, hypothesis.problem.period) for run in hypothesis.runs())
 
 
 def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
-    """Smooth functions (n, k) of position ``q`` (n,) [m], velocity and past motion, without assumed physics.
+    """Smooth functions (n, k) of position ``q`` (n,) [m], velocity and past motion, without assumptions on the physics.
 
-    Polynomials in position and speed for each direction, and the memories of friction.
+    Polynomials in position and speed for each direction, and friction with memory.
     """
     from numpy.polynomial.chebyshev import chebvander
 
@@ -121,11 +124,11 @@ def smooth_of_state(q: np.ndarray, period: float) -> np.ndarray:
     direction, speed = np.tanh(v / slowest(v)), np.abs(v) / np.abs(v).max()
     surface = along(q, rules.DEGREE)[:, :, None] * chebvander(2 * speed - 1, rules.DEGREE)[:, None]
     surface = surface.reshape(q.size, -1)
-    remembered, count = (memories(q, period), fading_memories(v, period)), surface.shape[1]
-    functions = np.empty((q.size, 2 * count + sum(part.shape[1] for part in remembered)))
+    with_memory, count = (memories(q, period), fading_memories(v, period)), surface.shape[1]
+    functions = np.empty((q.size, 2 * count + sum(part.shape[1] for part in with_memory)))
     np.multiply(surface, (direction > 0)[:, None], out=functions[:, :count])
     np.multiply(surface, (direction <= 0)[:, None], out=functions[:, count : 2 * count])
-    np.concatenate(remembered, axis=1, out=functions[:, 2 * count :])
+    np.concatenate(with_memory, axis=1, out=functions[:, 2 * count :])
     return functions
 
 
@@ -144,21 +147,21 @@ def slopes_along(q: np.ndarray, degree: int) -> np.ndarray:
 
 
 def memories(q: np.ndarray, period: float) -> np.ndarray:
-    """Forces (n, k) of a friction that depends on the past motion ``q`` (n,) [m].
+    """Friction forces (n, k) that depend on the past motion ``q`` (n,) [m].
 
-    On the age of the contact, the way since a reversal, and fading memories of direction and of sliding.
+    They depend on the age of the contact, the path since a reversal, and low-passed direction and sliding.
     """
     v = np.gradient(q, period)
     direction = np.tanh(v / slowest(v))
-    way = np.cumsum(np.abs(v)) * period
-    way -= way[np.arange(q.size) - since_reversal(v)]
-    fading = np.exp(-way[:, None] / (stroke_size(q) * np.array(rules.FADING_WAYS)))
-    along_it = np.column_stack([contact_age(v, period), fading, fading_memories(np.abs(direction), period)])
-    return np.column_stack([along_it * direction[:, None], fading_memories(direction, period)])
+    path = np.cumsum(np.abs(v)) * period
+    path -= path[np.arange(q.size) - since_reversal(v)]
+    fading = np.exp(-path[:, None] / (stroke_size(q) * np.array(rules.FADING_WAYS)))
+    levels = np.column_stack([contact_age(v, period), fading, fading_memories(np.abs(direction), period)])
+    return np.column_stack([levels * direction[:, None], fading_memories(direction, period)])
 
 
 def fading_memories(signal: np.ndarray, period: float) -> np.ndarray:
-    """Fading memories (n, k) of a ``signal`` (n,), one for each of ``rules.FADING_TIMES``."""
+    """``signal`` (n,) after first-order low-passes (n, k), one for each time constant of ``rules.FADING_TIMES``."""
     from scipy.signal import lfilter
 
     shares = [period / time for time in rules.FADING_TIMES]
@@ -177,8 +180,8 @@ def contact_age(v: np.ndarray, period: float) -> np.ndarray:
     slides, times = np.abs(v) > 0.5 * slowest(v), np.array(rules.FADING_TIMES)
     states, now, begin = np.empty((v.size, times.size)), np.ones(times.size), 0
     for end in np.append(np.flatnonzero(np.diff(slides)) + 1, v.size):
-        aim, own = (0.0, times) if slides[begin] else (1.0, rules.RESTING_TIME)
-        states[begin:end] = aim + (now - aim) * np.exp(-period * np.arange(1, end - begin + 1)[:, None] / own)
+        final, constant = (0.0, times) if slides[begin] else (1.0, rules.RESTING_TIME)
+        states[begin:end] = final + (now - final) * np.exp(-period * np.arange(1, end - begin + 1)[:, None] / constant)
         now, begin = states[end - 1], end
     return states
 
@@ -191,14 +194,14 @@ class Kind:
     columns: Columns
 
     def with_baseline(self) -> Kind:
-        """The same kind for a model of fixed parameters: the columns of the baseline are part of the force."""
+        """The same kind with the columns of the baseline added, for a model with fixed parameters."""
         return replace(
             self, columns=lambda *arguments: np.column_stack([self.columns(*arguments), baseline(*arguments)])
         )
 
 
 def inertia(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
-    """An inertia m(q) that varies along the travel, as of a crank: m a + m' v^2 / 2 (Lagrange), m a polynomial."""
+    """An inertia m(q) that varies along the travel, as of a crank: m a + m' v^2 / 2 (Lagrange); m is a polynomial."""
     shapes, slopes = along(measured.q, degree), slopes_along(measured.q, degree)
     return (shapes * measured.a[:, None] + 0.5 * slopes * measured.v[:, None] ** 2)[:, 1:]
 
@@ -209,15 +212,15 @@ def damping(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
 
 
 def damping_each_way(measured: Motion, simulated: np.ndarray, degree: int) -> np.ndarray:
-    """The same with one polynomial for each direction."""
+    """:func:`damping` with one polynomial for each direction."""
     speed = np.abs(measured.v)[:, None]
     return np.column_stack([damping(measured, simulated, degree), along(measured.q, degree) * speed])
 
 
 def memory(measured: Motion, simulated: np.ndarray) -> np.ndarray:
-    """Friction that depends on the past simulated motion, which stands still where the encoder does not.
+    """Friction that depends on the past of the simulated motion, which has no encoder noise at standstill.
 
-    On its speed as well. A memory of the signed velocity would be a spring, or viscous friction.
+    It depends on the past speed as well. A memory of the signed velocity would be a spring, or viscous friction.
     """
     v = np.gradient(simulated, measured.period)
     fast = fading_memories(np.abs(v), measured.period) * np.tanh(v / slowest(v))[:, None]
@@ -239,50 +242,50 @@ KINDS: tuple[tuple[tuple[Kind, ...], ...], ...] = (
     (_by_degree("an inertia that varies along the travel", inertia),),
     (
         _by_degree("viscous friction that varies along the travel", damping),
-        _by_degree("viscous friction that varies along the travel, each way by itself", damping_each_way),
+        _by_degree("viscous friction that varies along the travel, in each direction by itself", damping_each_way),
     ),
-    ((Kind("friction that remembers the motion before", memory),),),
+    ((Kind("friction that depends on the past motion", memory),),),
 )
 
 
 def beside_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
-    """The same model, judged with the response to any unknown force of a ``kind`` projected out.
+    """The same model, with the response to any unknown force of a ``kind`` projected out of the residual.
 
-    The response of the loop is linearised. Raises :class:`SimulationError` where the model cannot be simulated with a
+    The response of the loop is linearised. Raises :class:`SimulationError` if the model cannot be simulated with a
     force of a tenth of its residual.
     """
-    states = _answers(hypothesis, _columns(hypothesis, kind))
+    states = _loop_responses(hypothesis, _columns(hypothesis, kind))
     return Hypothesis(replace(hypothesis.problem, states=states), hypothesis.model)
 
 
 def with_kind(hypothesis: Hypothesis, kind: Kind) -> Hypothesis:
-    """:func:`beside_kind` linearised with the best-fitting force of that kind acting in the loop.
+    """:func:`beside_kind`, linearised with the best-fitting force of that kind acting in the loop.
 
-    A large force changes the response of the loop; with a motor at its limit so much that only a share of the force, of
-    ``rules.LOOP_SHARES``, may leave less. Raises as that does.
+    A large force changes the response of the loop; with a motor at its limit so much that perhaps only a share of the
+    force, one of ``rules.LOOP_SHARES``, lowers the cost. Raises as :func:`beside_kind`.
     """
     problem = replace(hypothesis.problem, states=())
     hypothesis = Hypothesis(problem, hypothesis.model)
     columns = _columns(hypothesis, kind)
-    innovations, answers = (problem.whiten(x) for x in (hypothesis.residuals(), _answers(hypothesis, columns)))
+    innovations, responses = (problem.whiten(x) for x in (hypothesis.residuals(), _loop_responses(hypothesis, columns)))
     shares = [
-        np.linalg.lstsq(answer[used], wanted[used], rcond=rules.NOTHING)[0]
-        for answer, wanted, used in zip(answers, innovations, problem.masks("used"), strict=True)
+        np.linalg.lstsq(response[used], residual[used], rcond=rules.NOTHING)[0]
+        for response, residual, used in zip(responses, innovations, problem.masks("used"), strict=True)
     ]
     forces = [column @ share for column, share in zip(columns, shares, strict=True)]
     before = hypothesis.excess()
     for part in rules.LOOP_SHARES:
-        acted = Hypothesis(problem.with_acting([part * force for force in forces]), hypothesis.model)
+        forced = Hypothesis(problem.with_acting([part * force for force in forces]), hypothesis.model)
         with suppress(SimulationError):
-            if acted.excess() < before:
-                return beside_kind(acted, kind)
+            if forced.excess() < before:
+                return beside_kind(forced, kind)
     return beside_kind(hypothesis, kind)
 
 
 def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
     """Forces [N] of a ``kind``, (n, k) along each record, each of rms ``rules.MINOR`` times that of the residual."""
     columns = []
-    motions = hypothesis.problem.recorded.motions
+    motions = hypothesis.problem.record_set.motions
     for measured, run, residual in zip(motions, hypothesis.runs(), hypothesis.residuals(), strict=True):
         forces = kind.columns(measured, run.q)
         rms = np.sqrt(np.mean(forces * forces, axis=0))
@@ -290,11 +293,11 @@ def _columns(hypothesis: Hypothesis, kind: Kind) -> list[np.ndarray]:
     return columns
 
 
-def _answers(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+def _loop_responses(hypothesis: Hypothesis, columns: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     """Change of the motor force [N], (n, k) per record, by each of the ``columns`` [N] as a force on the carriage."""
     whole = hypothesis.residuals()
-    pushes = zip(*(np.ascontiguousarray(column.T) for column in columns), strict=True)
-    pushed = side_by_side(hypothesis.residuals, [(push,) for push in pushes])
+    forces = zip(*(np.ascontiguousarray(column.T) for column in columns), strict=True)
+    disturbed = side_by_side(hypothesis.residuals, [(force,) for force in forces])
     return tuple(
-        np.column_stack([a - b for b in there]) for a, there in zip(whole, zip(*pushed, strict=True), strict=True)
+        np.column_stack([a - b for b in rest]) for a, rest in zip(whole, zip(*disturbed, strict=True), strict=True)
     )

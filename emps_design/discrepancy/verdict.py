@@ -1,9 +1,9 @@
 """The fourth stage: refit the model to all used samples, confirm it, and reach the verdict.
 
-Effects may stand beside an unknown force, found by a second search and confirmed like any other. The force is of one
-kind, which with few effects leaves next to nothing, or any smooth function of the state. With all smooth functions
-projected out, most friction cannot be found; an event, a drift, a delay or a ripple can, and the unknown force does not
-bend its parameters.
+Effects may be named together with an unknown force. They are found by a second search and confirmed like any other. The
+force is of one kind that, with few effects, explains nearly all of the residual, or any smooth function of the state.
+With all smooth functions projected out, most friction cannot be found. An event, a drift, a delay or a ripple can, and
+the unknown force does not bias its parameters.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ import numpy as np
 from emps_design.discrepancy import rules
 from emps_design.discrepancy.acceptance import Judge, explained, force_rms
 from emps_design.discrepancy.beam_search import (
-    acting,
     finish_search,
-    in_turn,
-    next_to_nothing,
+    fit_alternately,
+    leaves_little,
     only_noise,
     search_beside,
+    with_force_in_loop,
 )
 from emps_design.discrepancy.calibration import Outcome
 from emps_design.discrepancy.confirmation import (
     Share,
-    alike_in_company,
-    centred,
-    claims_on,
     confirm,
     equivalents,
+    equivalents_beside_unknown,
+    reliable_effects,
     robust,
-    standing,
+    shares_on,
     widened,
+    with_central_instants,
 )
 from emps_design.discrepancy.fit import Fit, evaluate, fit
 from emps_design.discrepancy.gap import GapComparison, adapt, compare, compare_on
@@ -49,11 +49,11 @@ from emps_design.progress import Progress
 
 @dataclass(frozen=True)
 class BesideUnknown:
-    """A model ``fitted`` beside an unknown force, the shares of its effects on the confirming data, and equivalents.
+    """A model ``fitted`` together with an unknown force, the shares of its effects on the held-out data, equivalents.
 
-    ``kind`` is the name of the force in ``KINDS``; empty where it may be any function of the state. ``remaining_force``
-    [N] is the rms with both, the larger of training and confirming records; ``is_all`` whether that is only noise on
-    both, and the force so large that the records need no other model.
+    ``kind`` is the name of the force in ``KINDS``; empty if it may be any function of the state. ``remaining_force``
+    [N] is the rms residual with both, the larger of training and held-out records. ``is_all``: the residual is only
+    noise on both, and the force so large that the records need no other model.
     """
 
     fitted: Fit
@@ -65,7 +65,7 @@ class BesideUnknown:
 
     @property
     def names(self) -> list[str]:
-        """Names of the effects, without those known from the controller's law."""
+        """Names of the effects, except those known from the controller's law."""
         return [share.name for share in self.shares]
 
     @property
@@ -75,84 +75,82 @@ class BesideUnknown:
 
 
 def found_beside_kind(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
-    """The effects found beside an unknown force of one kind, maybe none; None where there is no such force.
+    """The effects, possibly none, found together with an unknown force of one kind; None if there is no such force.
 
-    Both must leave next to nothing of the confirming ``data`` too, with the force fitted again there.
+    Both must also explain nearly all of the held-out ``data``, with the force fitted again there.
     """
-    force = outcome.of_a_kind
+    force = outcome.unknown_force
     if force is None:
         return None
     known = _known_on(data, outcome)
-    before = (force.start, _on(data, known, force.start))
+    before = (force.start, _on_held_out(data, known, force.start))
     with suppress(SimulationError):
         kind = force.kind.with_baseline()
-        there = acting(_on(data, known, force.fitted), kind)
-        beside = _standing(force.search, force.fitted, there, data)
+        there = with_force_in_loop(_on_held_out(data, known, force.fitted), kind)
+        beside = _reliable_beside(force.search, force.fitted, there, data)
         start = beside.fitted if beside.names else force.search.path[0]
         beside = replace(beside, fitted=_in_the_loop(start, force.kind))
-        after = (beside.fitted, evaluate(acting(_on(data, there, beside.fitted), kind)))
-        if all(map(next_to_nothing, before, after)):
-            is_all = force.is_plain and all(only_noise(hypothesis, rules.AT_FLOOR) for hypothesis in after)
+        after = (beside.fitted, evaluate(with_force_in_loop(_on_held_out(data, there, beside.fitted), kind)))
+        if all(map(leaves_little, before, after)):
+            is_all = force.is_sufficient and all(only_noise(hypothesis, rules.AT_FLOOR) for hypothesis in after)
             return replace(beside, kind=force.kind.name, remaining_force=max(map(force_rms, after)), is_all=is_all)
     return None
 
 
 def _in_the_loop(fitted: Fit, kind: Kind) -> Fit:
-    """``fitted`` with parameters and acting force fitted in turn; deviations cover the changes on the way."""
-    fits = in_turn(fitted, kind)
+    """``fitted`` with parameters and acting force fitted alternately; deviations cover the changes between the fits."""
+    fits = fit_alternately(fitted, kind)
     last = robust(fits[-1])
     return evaluate(last, last.slots, widened(last.covariance, [step.model.vector(last.slots) for step in fits]))
 
 
 def found_beside_state(outcome: Outcome, data: HeldOut) -> BesideUnknown | None:
-    """The effects that a second search finds beside the state and ``data`` confirm; None without any."""
+    """The effects found by a second search with a function of the state, confirmed by ``data``; None without any."""
     again = search_beside(outcome, beside_state(outcome.baseline))
     if again.best.model.names == outcome.path[0].model.names:
         return None
-    fitted = again.judge.refitted(again.best)
-    beside = _standing(again, fitted, beside_state(_known_on(data, outcome)), data)
+    fitted = again.judge.refit(again.best)
+    beside = _reliable_beside(again, fitted, beside_state(_known_on(data, outcome)), data)
     return beside if beside.names else None
 
 
 def _known_on(data: HeldOut, outcome: Outcome) -> Hypothesis:
-    """The model that the search began with, on the confirming ``data``."""
+    """The baseline of the search on the held-out ``data``."""
     return Hypothesis(data.problem, outcome.path[0].model.only(0))
 
 
-def _on(data: HeldOut, there: Hypothesis, fitted: Fit) -> Hypothesis:
-    """The model of ``fitted`` on the confirming ``data``, in the problem of ``there``."""
+def _on_held_out(data: HeldOut, there: Hypothesis, fitted: Fit) -> Hypothesis:
+    """The model of ``fitted`` on the held-out ``data``, in the problem of ``there``."""
     return there.with_model(adapt(data, fitted.model, fitted.model))
 
 
-def _standing(again: Outcome, fitted: Fit, there: Hypothesis, data: HeldOut) -> BesideUnknown:
-    """The effects of ``fitted``, of the search ``again``, that stand on ``data`` beside the force of ``there``.
-
-    Without effects where none stands.
-    """
+def _reliable_beside(again: Outcome, fitted: Fit, there: Hypothesis, data: HeldOut) -> BesideUnknown:
+    """The effects of ``fitted``, found by the search ``again``, that ``data`` confirm with the force of ``there``."""
     data = replace(data, problem=there.problem)
-    stands, _ = standing(data, fitted)
-    return BesideUnknown(stands, claims_on(data, stands), alike_in_company(again, stands))
+    reliable, _ = reliable_effects(data, fitted)
+    return BesideUnknown(reliable, shares_on(data, reliable), equivalents_beside_unknown(again, reliable))
 
 
-def joined(stands: Fit, beside: BesideUnknown, data: HeldOut) -> tuple[Fit, list[Share]]:
-    """``stands`` with the effects of ``beside`` unchanged and all else refitted, and the shares of its own effects.
+def combine(reliable: Fit, beside: BesideUnknown, data: HeldOut) -> tuple[Fit, list[Share]]:
+    """``reliable`` with the effects of ``beside`` added unchanged, the rest refitted, and the shares of its effects.
 
-    Without the effects of ``stands`` that the confirming ``data`` do not want beside these.
+    Effects of ``reliable`` that the held-out ``data`` do not confirm together with the added ones are removed.
     """
-    own = stands.model.without_named([name for name in beside.names if name in stands.model.names])
-    fitted = _fitted_around(stands.with_model(own), beside)
-    shares = claims_on(data, fitted)
-    gone = [share.name for share in shares if share.name in own.names and not share.stands]
+    own = reliable.model.without_named([name for name in beside.names if name in reliable.model.names])
+    fitted = _fitted_around(reliable.with_model(own), beside)
+    shares = shares_on(data, fitted)
+    gone = [share.name for share in shares if share.name in own.names and not share.is_reliable]
     if gone:
-        fitted = _fitted_around(stands.with_model(own.without_named(gone)), beside)
-        shares = claims_on(data, fitted)
+        fitted = _fitted_around(reliable.with_model(own.without_named(gone)), beside)
+        shares = shares_on(data, fitted)
     return fitted, [share for share in shares if share.name in own.names]
 
 
 def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
-    """``start`` fitted with the effects of ``beside`` added, whose parameters and deviations stay.
+    """``start`` fitted with the effects of ``beside`` added, whose parameters and deviations do not change.
 
-    From its own baseline and from that of ``beside``: its own may lack friction once its effects are withdrawn.
+    The better of two fits, from its own baseline and from that of ``beside``: its own may lack friction once its
+    effects are withdrawn.
     """
     model, theirs = start.model, beside.fitted.model
     places = {}
@@ -177,13 +175,13 @@ def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
 class Validation:
     """The verdict on an ``outcome`` and its two models, both fitted to all used samples.
 
-    For an unnamed structure both are the robust estimate of the baseline. ``shares`` are those of the findings on the
-    confirming data, on which ``held_out`` compares the models, None where not done; ``equivalents`` are the effects
-    that explain the records as well in a finding's place; ``refuted`` are the shares that the held-out data withdrew;
-    ``given_up`` are the effects of a model that explained ``share`` of the gap and did not stand; ``kind``, one of
-    ``unknown_force.KINDS``, is the kind of the rest, where known, and ``kind_leaves`` [N] the residual with an unknown
-    force of that kind. ``in_free_run`` are the velocity errors [m/s] of the baseline and of the model with ``given_up``
-    effects where these refute the effects.
+    With the verdict "unnamed" both are the robust estimate of the baseline. ``shares`` are those of the findings on the
+    held-out data; ``held_out`` compares the models on these data, None if not done. ``equivalents`` are the effects
+    that explain the records as well in the place of a finding. ``refuted`` are the shares of effects withdrawn because
+    of the held-out data. ``given_up`` are the effects of a model that explained ``share`` of the gap and was rejected.
+    ``kind``, a name in ``unknown_force.KINDS``, is the kind of the unexplained force if known, and ``kind_leaves`` [N]
+    the residual with a force of that kind. ``in_free_run`` are the velocity errors [m/s] of the baseline and of the
+    model with the ``given_up`` effects, if these errors were the reason.
     """
 
     outcome: Outcome
@@ -207,19 +205,19 @@ class Validation:
 
     @property
     def confirmed(self) -> dict[str, dict[str, float] | None]:
-        """The share of each finding on the confirming data."""
+        """The share of each finding on the held-out data, by name."""
         return {share.name: share.confirmed for share in self.shares}
 
     @property
     def remaining_force(self) -> tuple[float, float]:
-        """Force [N] that baseline and model leave, on the confirming data where compared there."""
+        """Rms residual [N] of baseline and extended model, on the held-out data if compared there."""
         if self.held_out is None:
             return force_rms(self.baseline), force_rms(self.extended)
         return self.held_out.gap.baseline, self.held_out.gap.extended
 
     @property
     def training_is_quiet(self) -> bool:
-        """Whether the extended model leaves only noise on the training records."""
+        """Whether the residual of the extended model on the training records is only noise."""
         return self.train.gap.extended <= rules.QUIET * self.outcome.floor.force
 
     @property
@@ -229,22 +227,22 @@ class Validation:
         return len(self.extended.model.names) > len(self.baseline.model.names) and not many
 
     def compared(self, data: HeldOut | None) -> Validation:
-        """The same with the models compared on the confirming ``data``, where there are any."""
+        """The same with the models compared on the held-out ``data``, if there are any."""
         if data is None:
             return self
         return replace(self, held_out=compare_on(data, self.baseline.model, self.extended.model))
 
     def beside_something_unknown(self) -> Validation:
-        """The same findings with the verdict that something else is missing, as data not searched show."""
+        """The same findings, with the verdict that something else is missing because data not searched show it."""
         named = self.verdict in ("named", "ambiguous", "partly-named")
         return replace(self, verdict="partly-named" if named else "unnamed")
 
 
 def validate(outcome: Outcome, progress: Progress) -> Validation:
-    """Refit the search's best model on everything, open the confirming data, and reach a verdict.
+    """Refit the best model of the search to all used samples, evaluate it on the held-out data, and reach a verdict.
 
-    A search that ended early at an unknown force is finished where these data do not confirm the force, or no effect
-    can be named beside it.
+    A search that ended early at an unknown force is finished if the held-out data do not confirm the force, or if no
+    effect can be named with it.
     """
     problem, data = outcome.baseline.problem, outcome.preparation.held_out
     force = None
@@ -252,9 +250,9 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
         data = data.with_whitening(problem.whitening)
         force = found_beside_kind(outcome, data)
     if outcome.ended_early and (force is None or not force.is_an_answer):
-        outcome = replace(finish_search(outcome, progress), of_a_kind=None)
+        outcome = replace(finish_search(outcome, progress), unknown_force=None)
     start = fit(outcome.baseline, part="used")
-    searched = outcome.judge.refitted(outcome.best) if len(outcome.path) > 1 else start
+    searched = outcome.judge.refit(outcome.best) if len(outcome.path) > 1 else start
     answer, left_over = _all_or_nothing(outcome, data, start, searched, force)
     if left_over or outcome.ended_early:
         answer = _effect_by_effect(data, searched, answer, force)
@@ -264,19 +262,21 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
     if answer.verdict == "unnamed":
         estimate = robust(answer.baseline)
         answer = replace(answer, baseline=estimate, extended=estimate, shares=[], held_out=None)
-    final = replace(answer, baseline=_alone(answer.baseline), extended=centred(answer.extended))
+    final = replace(
+        answer, baseline=_without_controller_effect(answer.baseline), extended=with_central_instants(answer.extended)
+    )
     moved = final.baseline is not answer.baseline or final.extended is not answer.extended
     return final.compared(data) if moved or final.held_out is None else final
 
 
 def _refuted_in_free_run(start: Fit, answer: Validation) -> tuple[float, float] | None:
-    """Velocity errors [m/s] of the baseline and the extended model driven by the command alone, where those refute it.
+    """Velocity errors [m/s] of baseline and extended model, driven by the command alone, if these refute the effects.
 
-    A model that follows its record is judged by the force this takes, and an effect can replace another in that force
-    alone: a dead zone a load on a spring. In a free motion it fails, by more than noise changes that motion: friction
-    that falls with speed, or a ripple that holds a slow axis, leaves much to chance. Both models by least squares,
-    ``start`` is the baseline. Effects of the sensor move nothing. A motion without bounds tells nothing, nor does one
-    that the baseline misses by all of it.
+    A model that follows its record is judged by the force needed for this. In that force one effect can imitate
+    another: a dead zone a load on a spring. In free motion it cannot. Its error must exceed the change that noise makes
+    in that motion, because friction that falls with speed, or a ripple that holds a slow axis, makes the motion
+    sensitive to noise. Both models are least-squares fits; ``start`` is the baseline. Effects of the sensor do not
+    change the motion. An unbounded motion proves nothing, nor does an error of the baseline as large as the motion.
     """
     effects = answer.extended.model.effects
     if not answer.extended.problem.follows or answer.verdict == "unnamed" or not effects:
@@ -285,12 +285,12 @@ def _refuted_in_free_run(start: Fit, answer: Validation) -> tuple[float, float] 
         return None
     with suppress(SimulationError):
         extended = fit(answer.extended, "used")
-        missed = extended.free_run()
-        before, after = _rms(start.free_run()), _rms(missed)
+        error = extended.free_run()
+        before, after = _rms(start.free_run()), _rms(error)
         if before > _rms(np.concatenate([np.gradient(record.q, record.period) for record in start.problem.records])):
             return None
-        chance = [_rms(extended.free_run(extended.problem.noise(seed)) - missed) for seed in range(rules.NOISES)]
-        return (before, after) if after - max(chance) > rules.CLOSE * before else None
+        by_noise = [_rms(extended.free_run(extended.problem.noise(seed)) - error) for seed in range(rules.NOISES)]
+        return (before, after) if after - max(by_noise) > rules.CLOSE * before else None
     return None
 
 
@@ -301,20 +301,20 @@ def _rms(signal: np.ndarray) -> float:
 def _all_or_nothing(
     outcome: Outcome, data: HeldOut | None, start: Fit, searched: Fit, force: BesideUnknown | None
 ) -> tuple[Validation, bool]:
-    """The verdict on all effects of ``searched`` together, without those that the confirming ``data`` refute.
+    """The verdict on all effects of ``searched`` together, without those that the held-out ``data`` refute.
 
-    ``start`` is the baseline. Also returns whether so much is left, or explained by an unknown ``force``, that each
-    effect must stand on its own evidence.
+    ``start`` is the baseline. Also returns whether the residual, or an unknown ``force``, is so large that each effect
+    needs its own evidence.
     """
     judge, floor, lost, extended = outcome.judge, outcome.floor.force, 0.0, searched
     shares: list[Share] = []
     refuted: tuple[Share, ...] = ()
     if data is not None:
-        learnt = start.cost - extended.cost
+        gain = start.cost - extended.cost
         extended, shares, refuted = confirm(judge, data, extended)
-        lost = 1 - (start.cost - extended.cost) / learnt if refuted else 0.0
+        lost = 1 - (start.cost - extended.cost) / gain if refuted else 0.0
 
-    # Share of the gap closed by the plant's effects, beside a disturbance known from the controller's law.
+    # Share of the gap closed by effects of the plant; a disturbance known from the controller's law does not count.
     named = extended.model.names != start.model.names
     remaining = [force_rms(extended)]
     closed = [explained(force_rms(start), remaining[0], floor)]
@@ -324,13 +324,13 @@ def _all_or_nothing(
         closed.append(explained(held_out.gap.baseline, remaining[-1], floor))
     rivals = {n: others for n, others in equivalents(outcome).items() if n in extended.model.names}
     verdict = _verdict(judge, extended, start, rivals, closed[-1], max(remaining))
-    # A gap closed on the training record only is not explained; nor is one of which a good part was refuted.
-    forgotten = named and closed[-1] < rules.MOST * min(closed[0], 1.0)  # at most 1, where less than noise is left
+    # A gap closed on the training record only is not explained; neither is one of which a good part was refuted.
+    unconfirmed = named and closed[-1] < rules.MOST * min(closed[0], 1.0)  # above 1 if the residual is below the noise
     doubtful = lost > rules.SLIGHT and not judge.at_floor(extended)
-    nothing_yet = outcome.interrupted and not extended.model.names
-    if nothing_yet or forgotten or doubtful:
+    interrupted_early = outcome.interrupted and not extended.model.names
+    if interrupted_early or unconfirmed or doubtful:
         verdict = "unnamed"
-    if outcome.preparation.unexplained_law:  # known as a command, but not explained
+    if outcome.preparation.unexplained_law:  # treated as a known input, but not explained
         verdict = "partly-named" if verdict in ("named", "ambiguous") else "unnamed"
     failed = verdict == "unnamed" and not judge.at_floor(extended)
     open_gap = judge.leaves_unexplained(extended) and (
@@ -340,7 +340,7 @@ def _all_or_nothing(
     answer = Validation(
         outcome, verdict, start, extended, rivals, shares, refuted, given_up, share=closed[-1], held_out=held_out
     )
-    return answer, (failed or forgotten or open_gap) and not nothing_yet
+    return answer, (failed or unconfirmed or open_gap) and not interrupted_early
 
 
 def _explains(force: BesideUnknown | None, remaining: float, floor: float) -> bool:
@@ -351,16 +351,16 @@ def _explains(force: BesideUnknown | None, remaining: float, floor: float) -> bo
 def _effect_by_effect(
     data: HeldOut | None, searched: Fit, answer: Validation, force: BesideUnknown | None
 ) -> Validation:
-    """The answer with the effects that stand on their own evidence, for models that leave structure.
+    """The result with only those effects that have their own evidence, for models whose residual has structure.
 
-    Beside an unknown ``force`` of one kind, where it and few effects leave next to nothing of the confirming ``data``
-    too; without effects nothing is named. Otherwise effects of ``searched``, and those that stand beside any function
-    of the state, where the model leaves less of these data than its baseline.
+    With an unknown ``force`` of one kind, if that and few effects also explain nearly all of the held-out ``data``; if
+    there are no effects, nothing is named. Otherwise effects of ``searched``, and those found with any function of the
+    state, if the model has a smaller residual on these data than its baseline.
     """
     outcome = answer.outcome
     if data is not None and force is not None and force.is_an_answer:
         nothing = Validation(outcome, "partly-named", answer.baseline, answer.baseline, share=answer.share)
-        answers = [_with(force, nothing, answer.baseline, data)] if force.names else []
+        answers = [_combine_with(force, nothing, answer.baseline, data)] if force.names else []
     else:
         answers = _beside_anything(data, searched, answer)
     compared = [candidate.compared(data) for candidate in answers if candidate.names_something]
@@ -379,29 +379,29 @@ def _effect_by_effect(
 
 
 def _beside_anything(data: HeldOut | None, searched: Fit, answer: Validation) -> list[Validation]:
-    """Answers of the effects of ``searched`` that stand alone, first with those found beside the state, if any."""
+    """Results with the reliable effects of ``searched``, the first also with those found with the state, if any."""
     outcome = answer.outcome
 
     def by_itself() -> Validation:
-        stands, refuted = standing(data, searched)
-        if not stands.innovations:  # without the effects withdrawn, the rest of the model cannot be simulated
-            stands = answer.baseline
-        shares = [] if data is None else claims_on(data, stands)
-        alike, baseline = alike_in_company(outcome, stands), robust(answer.baseline)
-        return Validation(outcome, "partly-named", baseline, stands, alike, shares, refuted, share=answer.share)
+        reliable, refuted = reliable_effects(data, searched)
+        if not reliable.innovations:  # without the withdrawn effects the rest of the model cannot be simulated
+            reliable = answer.baseline
+        shares = [] if data is None else shares_on(data, reliable)
+        alike, baseline = equivalents_beside_unknown(outcome, reliable), robust(answer.baseline)
+        return Validation(outcome, "partly-named", baseline, reliable, alike, shares, refuted, share=answer.share)
 
     if data is None:
         return [by_itself()]
-    # The longest first, in this thread, where an interrupt arrives: it ends the search only.
+    # The longest first, in this thread: an interrupt arrives here and ends the search only.
     beside, own = side_by_side(
         lambda find: find(), [(find,) for find in (partial(found_beside_state, outcome, data), by_itself)]
     )
-    return [own] if beside is None else [_with(beside, own, answer.baseline, data), own]
+    return [own] if beside is None else [_combine_with(beside, own, answer.baseline, data), own]
 
 
-def _with(beside: BesideUnknown, answer: Validation, baseline: Fit, data: HeldOut) -> Validation:
-    """``answer`` with the effects ``beside`` an unknown force, which replace those of the same name."""
-    both, shares = joined(answer.extended, beside, data)
+def _combine_with(beside: BesideUnknown, answer: Validation, baseline: Fit, data: HeldOut) -> Validation:
+    """``answer`` with the effects of ``beside``, which replace those of the same name."""
+    both, shares = combine(answer.extended, beside, data)
     own = [name for name in both.model.names if name not in beside.names]
     return replace(
         answer,
@@ -415,7 +415,7 @@ def _with(beside: BesideUnknown, answer: Validation, baseline: Fit, data: HeldOu
     )
 
 
-def _alone(start: Fit) -> Fit:
+def _without_controller_effect(start: Fit) -> Fit:
     """The baseline without the controller's disturbance, which is known from the law."""
     if not start.model.names:
         return start
@@ -427,8 +427,8 @@ def _verdict(
 ) -> str:
     """The verdict on ``best``, which explains ``share`` of the force gap; the search started with ``known``.
 
-    Where the model leaves structure, effects stand only if they explain most of the gap. Nothing is missing only where
-    training and confirming data say so; ``remaining`` [N] is the larger rms of both.
+    If structure remains, effects are named only if they explain most of the gap. The verdict is "nothing-missing" only
+    if training and held-out data agree on it; ``remaining`` [N] is the larger rms residual of both.
     """
     if best.model.names == known.model.names:
         if judge.leaves_structure(best):
@@ -445,12 +445,12 @@ def _verdict(
 
 
 def wrong_numbers(fitted: Fit) -> list[int]:
-    """Indices of the baseline parameters at which the axis file is wrong: significantly, and by a relevant amount."""
-    off = fitted.model.baseline - fitted.problem.axis.mechanics.array()
+    """Indices of the baseline parameters in which the axis file is wrong: significantly, and by a relevant amount."""
+    errors = fitted.model.baseline - fitted.problem.axis.mechanics.array()
     return [
         slot.place
         for slot in fitted.slots
         if slot.effect < 0
-        and abs(off[slot.place]) > rules.SURE * fitted.std(-1, slot.place)
-        and abs(off[slot.place]) > rules.OFF * slot.magnitude
+        and abs(errors[slot.place]) > rules.SURE * fitted.std(-1, slot.place)
+        and abs(errors[slot.place]) > rules.OFF * slot.magnitude
     ]

@@ -1,4 +1,4 @@
-"""What a diagnosis shows: the answer in one sentence, its findings, and what to do next."""
+"""The view of a diagnosis: the result in one sentence, its findings, and what to do next."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from emps_design.view import Line, Table, View
 
 
 def diagnosis_view(document: dict[str, Any], units: Units) -> View:
-    """What the ``document`` of a diagnosis shows, in ``units``."""
+    """The view of the ``document`` of a diagnosis, in ``units``."""
     after = [
         f"{words}: {entry['text']}"
         for words, entry in (
@@ -29,7 +29,7 @@ def diagnosis_view(document: dict[str, Any], units: Units) -> View:
 
 
 def _findings(findings: list[dict[str, Any]], units: Units) -> Table:
-    """A row per effect; the last column is the share that the confirming data ask for, or the chance without any."""
+    """A row per effect; the last column is the confirmed share, or the p-value if nothing was held out."""
     confirmed = any(finding.get("confirmed") for finding in findings)
     force = units.unit("N")
     headings = ("effect", "or", "where", f"gap [{force}]", f"after [{force}]", "confirmed" if confirmed else "p")
@@ -48,5 +48,5 @@ def _findings(findings: list[dict[str, Any]], units: Units) -> Table:
 
 
 def _share(confirmed: dict[str, float] | None) -> str | None:
-    """The share of an effect that the held-out record confirms, with its deviation; None without one."""
+    """The confirmed share of an effect with its standard deviation, as text; None without held-out data."""
     return share_asked(confirmed["share"], confirmed["std"]) if confirmed else None

@@ -14,7 +14,7 @@ from emps_design.units import Units
 
 
 def filled(text: str, units: Units) -> str:
-    """``text`` with {mass}, {force}, {forces} and {voltage} in the words of an axis.
+    """``text`` with {mass}, {force}, {forces} and {voltage} replaced by the words of an axis.
 
     >>> filled("each {voltage} and the {forces}", Units("rotary", "current", "A"))
     'each current and the torques'
@@ -30,18 +30,19 @@ def worded(effect: Effect, units: Units) -> Effect:
     """
     if units.plain:
         return effect
-    own = effect.words
-    words = replace(own, experiment=units.words(own.experiment), remedy=units.words(own.remedy))
-    return replace(effect, label=units.words(effect.label), words=words)
+    experiment, remedy = units.words(effect.words.experiment), units.words(effect.words.remedy)
+    return replace(
+        effect, label=units.words(effect.label), words=replace(effect.words, experiment=experiment, remedy=remedy)
+    )
 
 
 def label_of(name: str, units: Units) -> str:
-    """The label of the effect ``name``, or of the one that it is a line of, in the words of an axis."""
+    """Label of the effect ``name`` in the words of an axis; a further line of an effect has the label of the first."""
     return units.words(get_effect(kind_of(name)).label)
 
 
 def listed(names: Sequence[str], units: Units) -> str:
-    """The labels of the effects ``names``, for a sentence.
+    """The labels of the effects ``names``, separated by commas, for use inside a sentence.
 
     >>> listed(("mass_change", "backlash"), Units("rotary"))
     'inertia change, backlash'
@@ -50,7 +51,7 @@ def listed(names: Sequence[str], units: Units) -> str:
 
 
 def changed(before: np.ndarray, after: np.ndarray, places: Sequence[int], units: Units) -> str:
-    """The numbers of the axis file ``before`` (4,) and what they are ``after``, at ``places`` of ``BASELINE``.
+    """The baseline parameters ``before`` -> ``after``, (4,) each, at the indices ``places``, as text.
 
     >>> changed(np.array([1.15, 8.0, 7.0, 0.0]), np.array([1.2, 8.0, 7.1, 0.0]), [0, 2], Units("rotary"))
     'inertia 1.15 -> 1.2 kg m^2, coulomb 7 -> 7.1 N m'

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from emps_design.axis import Axis
 from emps_design.discrepancy import diagnose
 from emps_design.discrepancy.fit import fit
-from emps_design.discrepancy.noise_floor import LEFT, floor_of_residual
+from emps_design.discrepancy.noise_floor import RESIDUAL, floor_of_residual
 from emps_design.discrepancy.preparation import prepare
 from emps_design.discrepancy.problem import Hypothesis
 from emps_design.effects import get_effect
@@ -147,7 +147,7 @@ def test_a_motor_cogs_72_times_a_turn_and_as_much_with_its_table_on():
         model = model.with_effect(number, number.values(line))
     start = fitted = on.with_model(model)
     for _ in range(2):  # noise is what the model leaves
-        noise = floor_of_residual(fitted.remaining_force(), record.period, LEFT).whitening
+        noise = floor_of_residual(fitted.remaining_force(), record.period, RESIDUAL).whitening
         fitted = fit(Hypothesis(on.problem.with_whitening(noise), fitted.model), part="used", steps=20)
     assert fitted.model.values[0][0, 0] != start.model.values[0][0, 0]
     assert tuple(fitted.model.baseline[:3]) == tuple(axis.mechanics.array()[:3])  # one speed does not tell them

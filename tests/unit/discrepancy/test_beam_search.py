@@ -17,14 +17,14 @@ from emps_design.discrepancy.beam_search import (
     PRUNE,
     RIVALS,
     Move,
-    Proposed,
-    _late,
-    brought_in,
+    Proposal,
+    _accepted_when_converged,
+    bring_in_move,
     walk,
 )
-from emps_design.discrepancy.calibration import Outcome, remembered
-from emps_design.discrepancy.extension import _fitted, converged, extended, extensions, freed
-from emps_design.discrepancy.fit import evaluate, fit, on_bound, weighed
+from emps_design.discrepancy.calibration import Outcome, best_of_each_set
+from emps_design.discrepancy.extension import _fit_within_bounds, converged, extended, extensions, free_all
+from emps_design.discrepancy.fit import evaluate, fit, on_bound, with_noise_weights
 from emps_design.discrepancy.least_squares import Candidate, descend
 from emps_design.discrepancy.noise_floor import Whitening
 from emps_design.discrepancy.problem import Hypothesis, Problem
@@ -73,7 +73,7 @@ def search_at(*path, accept=Judged.accept, structure=Judged.structure, tried=(),
     first = path[0].with_model(path[0].model.without_named([n for n in path[0].model.names if n not in known]))
     path = path if path[0].model.names == first.model.names else (evaluate(first), *path)
     preparation, healthy = SimpleNamespace(library=library), SimpleNamespace(threshold=threshold)
-    return kind(preparation, None, healthy, [], path, remembered({}, (*path, *tried)), most=rules.MOST_EFFECTS)
+    return kind(preparation, None, healthy, [], path, best_of_each_set({}, (*path, *tried)), most=rules.MOST_EFFECTS)
 
 
 def exchanged(best, library, known=()):
@@ -115,10 +115,10 @@ def test_a_baseline_that_a_stand_in_bent_is_tried_from_the_axis_file_too():
 def test_a_number_held_on_its_way_is_free_again_at_the_end(hidden, left):
     begin = hypothesis(BASELINE.with_effect(LAG, np.array([[1e-4]])), *hidden)
     held = fit(begin, slots=begin.model.slots()[:4])
-    last = freed(held)
+    last = free_all(held)
     assert last.model.names == left
     assert len(last.slots) == len(last.model.slots())
-    assert freed(last) is last
+    assert free_all(last) is last
 
 
 def test_what_is_left_of_a_model_can_be_simulated(monkeypatch):
@@ -130,9 +130,9 @@ def test_what_is_left_of_a_model_can_be_simulated(monkeypatch):
         found = fit(hypothesis, *more)
         return replace(found, innovations=()) if found.model.names == ("elastic_force",) else found
 
-    assert freed(held).model.names == ("elastic_force",)
-    monkeypatch.setattr(sys.modules[freed.__module__], "fit", failing)
-    last = freed(held)
+    assert free_all(held).model.names == ("elastic_force",)
+    monkeypatch.setattr(sys.modules[free_all.__module__], "fit", failing)
+    last = free_all(held)
     assert last.model.names == ()
     assert last.innovations
 
@@ -140,7 +140,7 @@ def test_what_is_left_of_a_model_can_be_simulated(monkeypatch):
 def test_a_number_that_ends_on_a_bound_is_held():
     begin = hypothesis(BASELINE.with_effect(LAG, np.array([[1e-4]])))
     assert on_bound(fit(begin))
-    held = _fitted(begin)
+    held = _fit_within_bounds(begin)
     assert not on_bound(held)
     assert held.model.values[0][0, 0] == 1e-4
 
@@ -149,14 +149,14 @@ def test_a_search_goes_on_from_a_model_found_before_that_leaves_less():
     delayed = BASELINE.with_effect(DELAY, np.array([[1.5e-3]]))
     current = fit(hypothesis(BASELINE.with_effect(SPRING, np.array([[1.0, 0.0]])), DELAYED))
     search = search_at(current)
-    further = walk(search, (brought_in(delayed),), no_progress)
+    further = walk(search, (bring_in_move(delayed),), no_progress)
     found = further.best
     assert further.path == (*search.path, found)
     assert found.model.names == ("actuator_delay",)
     assert found.model.values[0][0, 0] == pytest.approx(1.6e-3, rel=1e-2)  # fitted under the noise of ``current``
     assert further.tried[frozenset({"actuator_delay"})] is found
     for before in (delayed, current.model):  # the search has ended there already; it leaves more
-        assert walk(further, (brought_in(before),), no_progress).path == further.path
+        assert walk(further, (bring_in_move(before),), no_progress).path == further.path
 
 
 def test_what_is_known_from_the_law_is_never_pruned():
@@ -212,7 +212,7 @@ def test_what_is_accepted_is_kept_where_it_leaves_more_bursts(monkeypatch):
     baseline = fit(hypothesis(BASELINE))
     worse = fit(baseline.with_model(BASELINE.with_effect(LAG, np.array([[5e-3]]))), slots=baseline.slots)
     assert worse.cost > baseline.cost
-    rounds = [Proposed([worse], {"actuator_lag": 0.0}), Proposed([])]
+    rounds = [Proposal([worse], {"actuator_lag": 0.0}), Proposal([])]
     monkeypatch.setattr(beam_search, "_round", lambda *given: rounds.pop(0))
     monkeypatch.setattr(beam_search, "converged", lambda found: found)
     search = walk(search_at(baseline), (ADD,), no_progress)
@@ -230,7 +230,7 @@ def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
 
     def played(search, beam, *rest):
         begun.append([member.model.names for member in beam])
-        return Proposed([both])
+        return Proposal([both])
 
     monkeypatch.setattr(beam_search, "_round", played)
     judged = {"accept": lambda better, worse: better is not delayed, "structure": lambda fitted: fitted is baseline}
@@ -249,7 +249,7 @@ def test_what_is_far_behind_is_looked_for_where_structure_is_left_among_what_was
 
     def played(search, beam, library, progress, rival):
         asked.append(([effect.name for effect in library], rival))
-        return Proposed([sprung])
+        return Proposal([sprung])
 
     monkeypatch.setattr(beam_search, "_round", played)
     judged = {"structure": lambda fitted: fitted is baseline}
@@ -303,7 +303,7 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
     run = Plant.of(axis).closed_loop(q_ref, voltage_noise=4e-3 * np.random.default_rng(1).standard_normal(t.size))
     record = Record(t=run.t, q_ref=q_ref, q=run.q, u=run.u, period=1e-3, name="free")
     module = sys.modules["emps_design.discrepancy.diagnosis"]
-    searched, calls = module.search_or_kind, []
+    searched, calls = module.search_with_unknown_force, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -311,7 +311,7 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
             raise KeyboardInterrupt
         return searched(*arguments)
 
-    monkeypatch.setattr(module, "search_or_kind", interrupted)
+    monkeypatch.setattr(module, "search_with_unknown_force", interrupted)
     monkeypatch.setattr(rules, "FINER", 10.0)  # so that there is a second search
     answer = diagnose(record, AXIS, library=(SPRING,))
     assert [f.effect for f in answer.findings] == ["elastic_force"]
@@ -322,18 +322,20 @@ def test_an_interrupt_of_the_second_search_keeps_the_first(monkeypatch):
 def test_what_explains_most_of_the_rest_is_fitted_to_convergence_before_it_is_turned_down():
     baseline = fit(hypothesis(BASELINE, DELAYED))
     short = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.2e-3]]))), steps=1)
-    better = _late(search_at(baseline, accept=lambda one, other: one.cost < 0.9 * short.cost), [short])
+    better = _accepted_when_converged(
+        search_at(baseline, accept=lambda one, other: one.cost < 0.9 * short.cost), [short]
+    )
     assert [f.model.names for f in better] == [("actuator_delay",)]
-    assert _late(search_at(baseline), []) == []
+    assert _accepted_when_converged(search_at(baseline), []) == []
     poor = fit(baseline.with_model(BASELINE.with_effect(SPRING, np.array([[1.0, 0.0]]))))
-    assert _late(search_at(baseline), [poor]) == []
+    assert _accepted_when_converged(search_at(baseline), [poor]) == []
 
 
 def test_nothing_is_fitted_on_where_less_than_the_noise_is_left():
     baseline = fit(hypothesis(BASELINE))
     quiet = replace(baseline, cost_fit=10.0, cost_select=5.0)
-    assert _late(search_at(quiet), []) == []
-    assert _late(search_at(quiet), [baseline]) == []
+    assert _accepted_when_converged(search_at(quiet), []) == []
+    assert _accepted_when_converged(search_at(quiet), [baseline]) == []
 
 
 HEIGHTS = {f"height_{i}": h for i, h in enumerate((4.0, -3.0, 6.0, 0.0, 5.0, -4.0), start=1)}
@@ -380,10 +382,10 @@ def test_what_is_looked_for_with_bursts_weighed_is_fitted_as_everything_else_is(
     curve = {"kind": "nonlinear_viscous_friction", "amount": 25.0, "exponent": 2.0}
     noisy = hypothesis(BASELINE.with_effect(limited, np.array([[3.6]])), hidden, curve)
     current = evaluate(noisy)
-    quieter = weighed(current)
+    quieter = with_noise_weights(current)
     assert quieter.cost < 0.9 * current.cost
-    np.testing.assert_allclose(quieter.innovations[0] * current.loudness[0], current.innovations[0])
-    np.testing.assert_array_equal(quieter.problem.only(0).loudness[0], current.loudness[0])
+    np.testing.assert_allclose(quieter.innovations[0] * current.noise_gain[0], current.innovations[0])
+    np.testing.assert_array_equal(quieter.problem.only(0).noise_gain[0], current.noise_gain[0])
     kinds = ("nonlinear_viscous_friction", "stribeck_friction", "actuator_lag")
     library = tuple(map(get_effect, kinds))
     absorbed = tangent(current)
@@ -392,11 +394,11 @@ def test_what_is_looked_for_with_bursts_weighed_is_fitted_as_everything_else_is(
     assert all(one.problem is current.problem for one in found)
     assert len(found) > len(alone)
     assert found[0].cost < alone[0].cost
-    assert weighed(evaluate(hypothesis(BASELINE))) is None
+    assert with_noise_weights(evaluate(hypothesis(BASELINE))) is None
     bouncing = BASELINE.with_effect(limited, np.array([[3.6]])).with_effect(
         play, np.array([[1e-4, 60.0, 0.1, 0.3, 0.0]])
     )
-    assert weighed(evaluate(noisy.with_model(bouncing))) is None
+    assert with_noise_weights(evaluate(noisy.with_model(bouncing))) is None
 
 
 def test_an_effect_that_fades_is_seen_again_by_what_it_changes():
@@ -406,7 +408,7 @@ def test_an_effect_that_fades_is_seen_again_by_what_it_changes():
     problem = SimpleNamespace(
         splits=(parts,), samples=lambda part: n // 2, gather=lambda signals, part: signals[0][getattr(parts, part)]
     )
-    fitted = lambda left: SimpleNamespace(problem=problem, innovations=(left,), loudness=(np.ones(n),))  # noqa: E731
+    fitted = lambda left: SimpleNamespace(problem=problem, innovations=(left,), noise_gain=(np.ones(n),))  # noqa: E731
     fading = np.where(later, 0.5, 2.0)
     assert _gain_repeats(fitted(noise), fitted(noise + fading), 5.0)
     elsewhere = np.where(later, 0.5 * np.sign(np.sin(np.arange(n))), 0.0)  # a stand-in changes what it should not
@@ -424,7 +426,7 @@ def test_a_burst_that_noise_makes_again_and_again_is_no_evidence():
     judge = Judge(SimpleNamespace(force=0.2), SimpleNamespace(threshold=30.0))
     gains = []
     for loudness in (usual, np.where(burst != 0, 20.0, 1.0)):
-        louder.__dict__["loudness"] = (loudness,)
+        louder.__dict__["noise_gain"] = (loudness,)
         gains.append(louder.cost_fit - worse.cost_fit > judge.to_beat(louder) and judge.accepts(worse, louder))
     assert gains == [True, False]
 
@@ -449,7 +451,7 @@ def test_another_exponent_is_tried_from_the_axis_files_friction_where_the_first_
 
 def test_under_finer_noise_nothing_is_gone_on_from_where_nothing_was_found():
     search = SimpleNamespace(best=SimpleNamespace(model=SimpleNamespace(names=("stribeck_friction",))))
-    assert not brought_in(SimpleNamespace(names=())).applies(search)
+    assert not bring_in_move(SimpleNamespace(names=())).applies(search)
 
 
 def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less():
@@ -458,7 +460,7 @@ def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less()
     costs, taken = [100.0, 100.0, 99.9, 90.0], []
 
     def proposed(search, progress):
-        return Proposed([replace(lagging, cost_fit=costs.pop(0), cost_select=0.0)])
+        return Proposal([replace(lagging, cost_fit=costs.pop(0), cost_select=0.0)])
 
     def takes(search, fits):
         taken.append(fits[0].cost)
@@ -466,7 +468,7 @@ def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less()
 
     there = Move("there", lambda search: bool(costs) and search.best is first, proposed, takes, detour=True)
     back = Move(
-        "back", lambda search: search.best is not first, lambda *_: Proposed([first]), lambda search, fits: list(fits)
+        "back", lambda search: search.best is not first, lambda *_: Proposal([first]), lambda search, fits: list(fits)
     )
     search = walk(search_at(first), (there, back), no_progress)
     assert (taken, search.best, search.detours) == ([100.0, 100.0], first, 1)
@@ -482,10 +484,10 @@ def test_a_move_that_led_nowhere_is_tried_again_only_from_another_model():
 
     def nothing(search, progress):
         asked.append(search.best.model.names)
-        return Proposed([])
+        return Proposal([])
 
     vain = Move("vain", lambda search: True, nothing, lambda search, fits: [])
-    add = Move("add", lambda search: not search.count, lambda *_: Proposed([lagging]), lambda search, fits: list(fits))
+    add = Move("add", lambda search: not search.count, lambda *_: Proposal([lagging]), lambda search, fits: list(fits))
     search = walk(search_at(first), (vain, add), no_progress)
     assert search.best is lagging
     assert asked == [(), ("actuator_lag",)]
@@ -501,7 +503,7 @@ def test_an_interrupt_keeps_what_was_found():
             raise KeyboardInterrupt
         return True
 
-    add = Move("add", ended, lambda *_: Proposed([lagging]), lambda search, fits: list(fits))
+    add = Move("add", ended, lambda *_: Proposal([lagging]), lambda search, fits: list(fits))
     search = walk(search_at(first), (add,), no_progress)
     assert (search.best, search.interrupted, search.warnings) == (lagging, True, (beam_search.UNFINISHED,))
     assert walk(search, (add,), no_progress) is search

@@ -191,7 +191,7 @@ def test_a_large_unknown_force_leaves_less_with_its_share_on_the_carriage():
     linear, within = (judge(start, KINDS[0][0][0].with_baseline()) for judge in (beside_kind, with_kind))
     assert np.std(within.residual("used")) < 0.95 * np.std(linear.residual("used"))
     assert np.std(within.problem.acting[0] - crank(seen.q)) < 0.1 * np.std(crank(seen.q))
-    assert within.problem.remembered is not start.problem.remembered  # other forces act: other residuals
+    assert within.problem.cache is not start.problem.cache  # other forces act: other residuals
 
 
 def test_only_as_much_of_a_force_is_put_in_the_loop_as_leaves_less(monkeypatch):
@@ -212,7 +212,7 @@ SPRING = {"kind": "elastic_force", "stiffness": 100.0, "rest_position": 0.0}
 def test_an_effect_starts_in_its_own_size_where_an_unknown_force_took_most_of_it(force):
     seen = with_force(force, 1, SMOOTH, SPRING)
     baseline = fit(Hypothesis(Problem(AXIS, (seen,), (split(seen),), WHITE), Candidate(AXIS.mechanics.array())))
-    beside = beam_search.in_turn(baseline, KINDS[2][0][0])[-1]
+    beside = beam_search.fit_alternately(baseline, KINDS[2][0][0])[-1]
     assert beside.cost < 0.05 * baseline.cost
     first, *_ = starts(beside, get_effect("elastic_force"), missing_force(beside), tangent(beside))
     assert first.model.values[-1][0, 0] == pytest.approx(100.0, rel=0.15)
@@ -281,11 +281,11 @@ def stopped():
 
 @pytest.mark.study("a whole diagnosis beside an unknown force")
 def test_no_unknown_force_is_needed_where_effects_leave_less(stopped):
-    force, (baseline, *_) = stopped.of_a_kind, stopped.path
-    again = beam_search._of_a_kind(replace(stopped, path=(baseline, baseline)), None)
+    force, (baseline, *_) = stopped.unknown_force, stopped.path
+    again = beam_search._find_unknown_force(replace(stopped, path=(baseline, baseline)), None)
     assert again.kind == force.kind
     better = evaluate(force.fitted)  # as effects that leave as little would
-    assert beam_search._of_a_kind(replace(stopped, path=(baseline, baseline, better)), None) is None
+    assert beam_search._find_unknown_force(replace(stopped, path=(baseline, baseline, better)), None) is None
 
 
 @pytest.mark.study("a whole diagnosis beside an unknown force")
@@ -298,11 +298,11 @@ def test_a_search_ends_for_a_force_that_answers_and_goes_on_where_it_does_not(mo
 
     gone_on = []
 
-    def recorded(outcome, *rest, goes_on=verdict.finish_search):
+    def continued(outcome, *rest, goes_on=verdict.finish_search):
         gone_on.append(outcome)
         return goes_on(outcome, *rest)
 
-    monkeypatch.setattr(verdict, "finish_search", recorded)
+    monkeypatch.setattr(verdict, "finish_search", continued)
     monkeypatch.setattr(verdict, "found_beside_kind", finds)
     answer = explain(verdict.validate(stopped, no_progress))
     assert bool(gone_on) is (confirmed in ("with nothing to name", ""))
@@ -319,7 +319,7 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
     monkeypatch.setattr(rules, "PLAIN", 1e9)  # never plain: the search must go on, once
     monkeypatch.setattr(rules, "FINER", 10.0)  # so that there are three searches
 
-    def searched(*arguments, search=module.search_or_kind):
+    def searched(*arguments, search=module.search_with_unknown_force):
         stopped.append(search(*arguments))
         return stopped[-1]
 
@@ -327,7 +327,7 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
         gone_on.append(outcome)
         return goes_on(outcome, progress, **named)
 
-    monkeypatch.setattr(module, "search_or_kind", searched)
+    monkeypatch.setattr(module, "search_with_unknown_force", searched)
     monkeypatch.setattr(beam_search, "finish_search", past)
     told = []
     library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
@@ -358,4 +358,4 @@ def test_a_motor_at_its_limit_does_not_hide_of_which_kind_the_rest_is():
     assert [finding.effect for finding in answer.findings] == ["actuator_saturation"]
     found = answer.findings[0].parameters["limit"]
     assert abs(found["value"] - 3.9) < 3 * found["std"] < 0.4
-    assert "like friction that remembers the motion before" in answer.sentence
+    assert "like friction that depends on the past motion" in answer.sentence

@@ -45,7 +45,7 @@ def test_what_has_no_name_is_described_and_follows_more_closely(described):
     run = Plant.of(found.axis).closed_loop(**driven_by(found.axis, held_out))
     left = AXIS.drive.gain * (held_out.u - run.u)
     assert found.share == pytest.approx(np.linalg.norm(left) / np.linalg.norm(AXIS.drive.gain * held_out.u), rel=0.05)
-    assert "names no cause" in found.text
+    assert "without naming a cause" in found.text
 
 
 @pytest.mark.study("the same diagnosis")

@@ -10,8 +10,8 @@ import pytest
 from emps_design.discrepancy.acceptance import Judge, resampled
 from emps_design.discrepancy.beam_search import UNFINISHED
 from emps_design.discrepancy.calibration import Outcome
-from emps_design.discrepancy.confirmation import Share, _size_known, effect_shares, standing
-from emps_design.discrepancy.diagnosis import NOT_REPEATED, _finer, _repeated
+from emps_design.discrepancy.confirmation import Share, _size_known, effect_shares, reliable_effects
+from emps_design.discrepancy.diagnosis import NOT_REPEATED, _finer_floor, _repeat_with_finer_noise
 from emps_design.discrepancy.fit import evaluate, fit
 from emps_design.discrepancy.least_squares import Candidate
 from emps_design.discrepancy.noise_floor import LAPS, Whitening, floor_of_laps, floor_of_residual, rms_interval
@@ -80,7 +80,7 @@ def test_an_effect_stands_beside_something_unknown_and_what_stands_in_for_it_doe
     seen = Problem(AXIS, (record,), (split(record),), problem(0.0).whitening)
     there, stand_in = {**SPRING, "stiffness": 150.0}, {"amplitude": 3.0, "period": 0.04, "phase": 0.0}
     asked = effect_shares(Hypothesis(seen, model(elastic_force=there, position_ripple=stand_in)))
-    assert [a.stands for a in asked] == [True, False]
+    assert [a.is_reliable for a in asked] == [True, False]
     assert asked[0].confirmed["share"] == pytest.approx(1.0, abs=0.1)
 
 
@@ -95,7 +95,7 @@ def with_a_spring(stiffness):
 @pytest.mark.study("several fits")
 def test_what_stands_is_known_as_well_whatever_the_numbers_of_the_model_that_it_was_part_of():
     fitted_with_more = model(elastic_force={**SPRING, "stiffness": 130.0})
-    stands, withdrawn = standing(None, evaluate(Hypothesis(with_a_spring(150.0), fitted_with_more)))
+    stands, withdrawn = reliable_effects(None, evaluate(Hypothesis(with_a_spring(150.0), fitted_with_more)))
     assert stands.model.names == ("elastic_force",)
     assert withdrawn == ()
     assert stands.model.values[0][0, 0] == pytest.approx(150.0, rel=0.01)
@@ -108,7 +108,7 @@ def test_what_ends_on_a_bound_when_it_is_fitted_anew_does_not_stand(largest, sta
     stiffness, *others = spring.parameters
     bounded = replace(spring, parameters=(replace(stiffness, upper=largest), *others))
     begun = model().with_effect(bounded, bounded.values({**SPRING, "stiffness": 130.0}))
-    found, _ = standing(None, evaluate(Hypothesis(with_a_spring(150.0), begun)))
+    found, _ = reliable_effects(None, evaluate(Hypothesis(with_a_spring(150.0), begun)))
     assert bool(found.model.names) is stands
 
 
@@ -135,8 +135,8 @@ def test_what_a_record_does_not_tell_is_not_confirmed():
 def test_what_is_lost_in_the_bounces_of_play_does_not_stand_and_the_play_itself_does():
     for repeats, of_another, of_play in ((0.2, False, True), (0.9, True, True)):
         shares = dict(share=repeats, std=0.01, repeats=repeats, exercised=True)
-        assert Share("external_force", **shares).stands is of_another
-        assert Share("backlash", **shares, bounces=True).stands is of_play
+        assert Share("external_force", **shares).is_reliable is of_another
+        assert Share("backlash", **shares, bounces=True).is_reliable is of_play
 
 
 @pytest.mark.parametrize(
@@ -148,9 +148,9 @@ def test_what_is_lost_in_the_bounces_of_play_does_not_stand_and_the_play_itself_
     ],
 )
 def test_what_is_hardly_wanted_however_the_rest_is_weighed_is_neither_refuted_nor_kept(share, weighed, hardly):
-    asked = Share("stribeck_friction", share, 0.04, 1.0, exercised=True, weighed=tuple(weighed))
-    assert (asked.refuted, asked.hardly_wanted) == (False, hardly)
-    assert not replace(asked, exercised=False).hardly_wanted
+    asked = Share("stribeck_friction", share, 0.04, 1.0, exercised=True, weighted=tuple(weighed))
+    assert (asked.refuted, asked.weakly_confirmed) == (False, hardly)
+    assert not replace(asked, exercised=False).weakly_confirmed
 
 
 def test_a_drift_between_laps_is_no_noise():
@@ -237,7 +237,7 @@ def test_noise_is_what_differs_between_laps_beyond_what_the_model_knows_of():
     )  # the friction hides in the noise of unlike laps
 
     def finer(floor, best, force=None):
-        return _finer(SimpleNamespace(floor=floor, best=best, of_a_kind=force))
+        return _finer_floor(SimpleNamespace(floor=floor, best=best, unknown_force=force))
 
     again = finer(taken, drifting)
     assert again.source == LAPS
@@ -257,11 +257,11 @@ def test_an_interrupt_of_a_later_search_says_what_was_left_undone(monkeypatch, i
         raise KeyboardInterrupt
 
     module = sys.modules["emps_design.discrepancy.diagnosis"]
-    monkeypatch.setattr(module, "_finer", lambda outcome: "finer")
+    monkeypatch.setattr(module, "_finer_floor", lambda outcome: "finer")
     monkeypatch.setattr(module, "calibrate", interrupted)
-    of_a_kind = SimpleNamespace(is_plain=is_plain)
-    first = Outcome(None, None, SimpleNamespace(searched=1), [], ("model",), {}, of_a_kind=of_a_kind)
-    kept = _repeated(first, 0, 1, lambda stage, share: None)
+    of_a_kind = SimpleNamespace(is_sufficient=is_plain)
+    first = Outcome(None, None, SimpleNamespace(searched=1), [], ("model",), {}, unknown_force=of_a_kind)
+    kept = _repeat_with_finer_noise(first, 0, 1, lambda stage, share: None)
     assert kept.path == first.path
     assert kept.warnings == (NOT_REPEATED, UNFINISHED)[: 1 + unfinished]
     assert kept.interrupted is unfinished
@@ -273,7 +273,7 @@ def test_an_interrupt_of_the_healthy_searches_leaves_resampled_noise(monkeypatch
 
     module = sys.modules["emps_design.discrepancy.calibration"]
     linearised = ("tangent", "screen", "by_signature", "suspects_text", "healthy_reference")
-    for name in ("fit", *linearised, "Hypothesis", "remembered"):
+    for name in ("fit", *linearised, "Hypothesis", "best_of_each_set"):
         monkeypatch.setattr(module, name, lambda *arguments, **options: "made")
     monkeypatch.setattr(module, "healthy_runs", interrupted)
     start = SimpleNamespace(problem=SimpleNamespace(with_whitening=lambda whitening: None), model=None)

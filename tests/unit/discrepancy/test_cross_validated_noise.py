@@ -50,13 +50,13 @@ def test_the_noise_of_a_healthy_record_is_what_was_put_in():
     answer = diagnose(healthy, AXIS, library=LIBRARY)
     assert answer.verdict == "nothing-missing"
     assert answer.floor == pytest.approx(put_in, rel=0.05)
-    assert any("not what differs between laps" in text for text in answer.details["warnings"])
+    assert any("not the difference between laps" in text for text in answer.details["warnings"])
 
 
 def test_an_effect_without_a_start_is_said_not_to_be_looked_for():
     rows = diagnose(record(seed=4), AXIS, library=(*LIBRARY, get_effect("external_force"))).details["not_excluded"]
     assert {row["effect"]: row["size"] for row in rows}["external_force"] is None
-    assert rows[-1]["text"].startswith("not looked for")
+    assert rows[-1]["text"].startswith("not tested")
 
 
 @pytest.mark.study("a whole diagnosis")

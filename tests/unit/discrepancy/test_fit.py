@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from emps_design.discrepancy import rules
-from emps_design.discrepancy.fit import admissible, evaluate, fit, play_anew, refitted, sensitivities
+from emps_design.discrepancy.fit import admissible, evaluate, fit, refit, refit_play, sensitivities
 from emps_design.discrepancy.least_squares import Candidate, descend, simplex
 from emps_design.discrepancy.noise_floor import Whitening, floor_of_laps, floor_of_residual, usual_rms
 from emps_design.discrepancy.problem import Hypothesis, Problem, orthonormal
@@ -63,10 +63,10 @@ def test_play_is_found_where_a_descent_along_slopes_ends_in_a_dent():
     ends = [fit(Hypothesis(judged, model.with_effect(get_effect("backlash"), begin))) for begin in begins]
     samples = judged.samples("fit")
     assert max(end.cost_fit for end in ends) > 3.0 * samples
-    for found in map(play_anew, ends):
+    for found in map(refit_play, ends):
         assert found.cost_fit < 1.3 * samples
         assert found.model.values[0][0] == pytest.approx([8e-5, 57.0, 0.15, 0.32, 0.0], rel=0.03)
-    last = refitted(found)
+    last = refit(found)
     numbers, deviations = last.model.values[0][0][:4], np.array([last.std(0, place) for place in range(4)])
     assert np.all(np.abs(numbers - [8e-5, 57.0, 0.15, 0.32]) < 5.0 * deviations)
     assert np.all(deviations > 5e-5 * numbers)  # and no nanometres, as the slopes in a dent promise
@@ -90,17 +90,17 @@ def test_play_whose_gap_may_be_none_is_the_coupling():
 
 def test_noise_grows_where_the_motor_is_at_its_limit_and_nowhere_else():
     healthy = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
-    assert np.array_equal(healthy.loudness[0], np.ones(Q_REF.size))
+    assert np.array_equal(healthy.noise_gain[0], np.ones(Q_REF.size))
     effect = get_effect("actuator_saturation")
     limited = healthy.model.with_effect(effect, effect.values({"limit": 3.2}))
-    loud = evaluate(healthy.with_model(limited)).loudness[0]
+    loud = evaluate(healthy.with_model(limited)).noise_gain[0]
     assert loud.max() > 10.0
     assert np.mean(loud == 1.0) > 0.6
 
 
 def test_without_play_nothing_is_found_anew():
     fitted = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
-    assert play_anew(fitted) is fitted
+    assert refit_play(fitted) is fitted
 
 
 def test_play_is_not_looked_for_where_it_was_before_nor_among_more_effects_than_are_credible():
@@ -108,9 +108,9 @@ def test_play_is_not_looked_for_where_it_was_before_nor_among_more_effects_than_
     start = Hypothesis(problem([hidden]), Candidate(AXIS.mechanics.array()))
     play = start.model.with_effect(get_effect("backlash"), np.array([(2e-4, 45.0, 0.15, 0.4, 0.0)]))
     dent = evaluate(start.with_model(play))
-    assert play_anew(dent) is not dent
-    surveyed = replace(dent, surveyed=True)
-    assert play_anew(surveyed) is surveyed
+    assert refit_play(dent) is not dent
+    surveyed = replace(dent, surface_checked=True)
+    assert refit_play(surveyed) is surveyed
     small = {
         "actuator_lag": {"time_constant": 1e-4},
         "actuator_delay": {"delay": 1e-4},
@@ -123,7 +123,7 @@ def test_play_is_not_looked_for_where_it_was_before_nor_among_more_effects_than_
         play = play.with_effect(effect, effect.values(values)[None])
     crowded = evaluate(start.with_model(play))
     assert len(crowded.model.effects) > rules.CREDIBLE
-    assert play_anew(crowded) is crowded
+    assert refit_play(crowded) is crowded
 
 
 def test_a_simplex_passes_what_cannot_run_and_stays_within_bounds():

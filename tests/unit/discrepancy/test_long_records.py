@@ -21,7 +21,7 @@ def short(monkeypatch):
     monkeypatch.setattr(rules, "SEARCHED", 20_000)
 
 
-def told(effects, **how):
+def diagnosed(effects, **how):
     record = synthetic_record(AXIS.replace(effects=effects), laps=2)
     result = diagnose(record, AXIS, library=LIBRARY, **how)
     texts = [text for text in result.details["warnings"] if "searched" in text]
@@ -30,18 +30,18 @@ def told(effects, **how):
 
 
 def test_the_rest_of_a_long_record_is_simulated(short):
-    verdict, (text,) = told([])
+    verdict, (text,) = diagnosed([])
     assert verdict == "nothing-missing"
-    assert text.startswith("synthetic-emps2019: only 20.1 of 36.41 s were searched, 36412 samples")
-    assert "over the whole record the model leaves 0.3" in text
-    assert "usual" not in text
+    assert text.startswith("synthetic-emps2019: only 20.1 of 36.41 s were searched, because 36412 samples")
+    assert "over the whole record the residual is 0.3" in text
+    assert "as a rule" not in text
 
 
 def test_what_changes_after_the_part_searched_is_told(short):
-    verdict, (text,) = told([{"kind": "mass_change", "change": 0.3, "time": 25.0}])
+    verdict, (text,) = diagnosed([{"kind": "mass_change", "change": 0.3, "time": 25.0}])
     assert verdict == "unnamed"
     assert "in the 10 s from 20 s on" in text
-    assert "something else is there, or changed; look at it with `fit_time`" in text
+    assert "another effect acts there, or the machine changed; examine it with `fit_time`" in text
 
 
 def test_what_a_controller_adds_is_known_in_the_rest_too(short):
@@ -49,13 +49,14 @@ def test_what_a_controller_adds_is_known_in_the_rest_too(short):
     dither = 0.1 * np.repeat(noise.standard_normal(1 + q_ref.size // 60), 60)[: q_ref.size]
     run = Plant.of(AXIS).closed_loop(q_ref, voltage_noise=dither)
     made = Record.from_arrays(1e-3, q_ref, run.q, run.u)
-    (text,) = (one for one in diagnose(made, AXIS, library=LIBRARY).details["warnings"] if "searched" in one)
-    left = float(text.partition("the model leaves ")[2].split()[0])
-    assert left < 0.1 * AXIS.drive.gain * np.std(dither)
+    warnings = diagnose(made, AXIS, library=LIBRARY).details["warnings"]
+    (text,) = (message for message in warnings if message.code == "part-searched")
+    residual = float(text.partition("the residual is ")[2].split()[0])
+    assert residual < 0.1 * AXIS.drive.gain * np.std(dither)
 
 
 def test_a_window_decides_how_much_is_read(short):
-    _, (text,) = told([], fit_time=(0.0, 15.0), confirm_time=(15.0, 25.0))
+    _, (text,) = diagnosed([], fit_time=(0.0, 15.0), confirm_time=(15.0, 25.0))
     assert ": only 25 of " in text
 
 

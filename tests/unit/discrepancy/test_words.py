@@ -51,7 +51,7 @@ def messages(axis, record) -> list[str]:
     """What a diagnosis of the axis would say, from its parts."""
     units, limit = axis.units, axis.drive.command_limit
     said = [filled(text, units) for text in (*unexplained.ASSUMPTIONS, unexplained.FOLLOWED, preparation.ONE_SPEED)]
-    said += [unexplained.like("friction that remembers the motion before", 0.5, units), *places(record, units)]
+    said += [unexplained.like("friction that depends on the past motion", 0.5, units), *places(record, units)]
     said.append(changed(axis.mechanics.array(), 1.1 * axis.mechanics.array(), range(4), units))
     effects = [worded(effect, units) for effect in known_effects().values()]
     said += [text for effect in effects for text in (effect.label, effect.words.experiment, effect.words.remedy)]
@@ -60,7 +60,7 @@ def messages(axis, record) -> list[str]:
     said.append(refused(RecordError, check_records, (fast,), axis))
     said += check_records((replace(record, q_ref=10.0 * record.q_ref),), axis)
     said.append(refused(InputError, check_law, replace(record, u=0.3 * record.u), axis, ()))
-    where = {"text": "all along", "force": {"value": 0.92, "unit": units.unit("N"), "sense": "more or less"}}
+    where = {"text": "throughout", "force": {"value": 0.92, "unit": units.unit("N"), "sense": "more or less"}}
     parameters = {
         name: {"value": 0.0123, "std": 0.001, "unit": unit}
         for name, unit in (("force", "N"), ("period", "m"), ("level", "V"), ("velocity", "m/s"), ("delay", "s"))

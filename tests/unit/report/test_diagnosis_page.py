@@ -69,7 +69,7 @@ def document(verdict="named"):
                 "effect": "stribeck_friction",
                 "label": "Stribeck friction",
                 "equivalents": ["presliding_friction"],
-                "where": {"channel": "plant", "text": "below 9 mm/s, both ways", "velocity": [-0.009, 0.009]},
+                "where": {"channel": "plant", "text": "below 9 mm/s, in both directions", "velocity": [-0.009, 0.009]},
                 "parameters": {
                     "excess": {"value": 7.4, "std": 0.6, "unit": "N"},
                     "velocity": {"value": 0.008, "std": 0.0007, "unit": "m/s", "per_record": True},

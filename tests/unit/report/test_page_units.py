@@ -60,7 +60,7 @@ def test_nothing_in_the_numbers_of_a_diagnosis_has_to_be_rewritten(axis):
         name: {"value": 0.0123, "std": 0.001, "unit": unit}
         for name, unit in (("force", "N"), ("period", "m"), ("level", "V"), ("velocity", "m/s"), ("delay", "s"))
     }
-    where = {"text": "all along", "force": {"value": 0.92, "unit": force, "sense": "more"}}
+    where = {"text": "throughout", "force": {"value": 0.92, "unit": force, "sense": "more"}}
     finding = {"effect": "backlash", "label": "Backlash", "gap_before": 2.0, "gap_after": 1.0, "p_value": 0.01}
     finding |= {"where": where, "parameters": parameters, "equivalents": ["mass_change"]}
     values = {"baseline": 2.0, "extended": 1.0}
