@@ -1,8 +1,8 @@
-"""Physical effects: the package's own library, one file each, and those that a user adds.
+"""Physical effects: the library of the package, one file each, and effects added by the user.
 
-A user's own effect is a file with an ``EFFECT`` like those here. :func:`load_file` registers it, and so does naming it
-in the environment, ``EMPS_DESIGN_EFFECTS=path1.py:path2.py`` (``;`` between paths on Windows), when the package is
-imported. It is a plain import: the file's code runs.
+A user's effect is a file with an ``EFFECT`` like those in the library. Register it with :func:`load_file`, or name it
+in the environment variable ``EMPS_DESIGN_EFFECTS=path1.py:path2.py`` (``;`` between paths on Windows) before importing
+the package. The file is imported, so its code runs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from emps_design.effects.effect import (
 from emps_design.effects.library import EFFECTS as EFFECTS
 from emps_design.registry import Registry
 
-VARIABLE = "EMPS_DESIGN_EFFECTS"  # environment variable with the files of a user's own effects
+VARIABLE = "EMPS_DESIGN_EFFECTS"  # environment variable with the files of a user's effects
 REGISTRY: Registry[Effect] = Registry("effect", Effect, EFFECTS, VARIABLE, "effects")
 
 known_effects, get_effect = REGISTRY.known, REGISTRY.get

@@ -1,16 +1,16 @@
-"""What an effect is: physics that the baseline ``M qdd + F_v qd + F_c sign(qd) + offset = tau`` lacks.
+"""Effects: physics that the baseline ``M qdd + F_v qd + F_c sign(qd) + offset = tau`` lacks.
 
-An effect joins the plant through *hooks*, plain Python functions of numbers that are compiled when a simulation needs
-them. All kernels but ``actuator`` and ``rate`` share one argument list::
+An effect acts on the plant through *hooks*, plain Python functions of numbers that are compiled when a simulation needs
+them. All kernels except ``actuator`` and ``rate`` have the same arguments::
 
     kernel(q, v, t, tau, x, p, b) -> float
 
 | argument | meaning | unit |
 |---|---|---|
 | ``q``, ``v`` | carriage position and velocity on the encoder's side | m, m/s |
-| ``t`` | time since the record's first sample | s |
-| ``tau`` | motor force that acts, behind delay and lags (of a third lag: what is behind the first two) | N |
-| ``x`` | the effect's own states | as declared |
+| ``t`` | time since the first sample of the record | s |
+| ``tau`` | acting motor force, after delay and lags (for a third lag: after the first two) | N |
+| ``x`` | the states of the effect | as declared |
 | ``p`` | its parameters, in the order of ``parameters`` | as declared |
 | ``b`` | the baseline: mass, viscous, coulomb, offset (``b[0]`` to ``b[3]``) | kg, N/(m/s), N, N |
 
@@ -18,13 +18,13 @@ and the plant is, with ``sum`` over the effects of an axis,
 
     (M + sum inertia) dv/dt = tau - F_v v - offset - sum force - L S(v),   L = max(0, F_c + sum dry)
 
-where S(v) is the set-valued sign: sign(v) in motion, anything in [-1, 1] at rest. There ``dry`` gets a ``v`` next to 0
-of the direction in which the rest of the balance pushes.
+where S(v) is the set-valued sign: sign(v) in motion, any value in [-1, 1] at rest. At rest, ``dry`` gets a ``v`` close
+to 0 with the sign of the sum of the other forces.
 
-Sign convention: ``force`` stands on the left-hand side of the inverse dynamic model, beside the friction; a force that
-pushes the carriage towards +q is returned with a minus. Kernels use ``math`` and one another alone, so
-that they compile as they stand. A kernel evaluated at its own ``jump_time`` gives the value after the jump:
-edges are compared with ``SNAP`` to spare.
+Sign convention: ``force`` is on the left-hand side of the inverse dynamic model, like the friction; a force that pushes
+the carriage towards +q is returned as negative. Kernels use only ``math`` and one another, so that they can be
+compiled. At its own ``jump_time`` a kernel returns the value after the jump: edges in time are compared with a
+tolerance of ``SNAP``.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ if TYPE_CHECKING:
     import sympy
 
 MASS, VISCOUS, COULOMB, OFFSET = range(4)  # places in the baseline array ``b``
-CHECK_BASELINE = (100.0, 200.0, 20.0, -5.0)  # the baseline of every effect's hand-computed checks
-REACH = 1000.0  # times the ordinary axis in length, force or command, up to which an effect's numbers are taken
-SNAP = 1e-10  # s, by which an edge in time is seen early, above the rounding of any record's clock
+CHECK_BASELINE = (100.0, 200.0, 20.0, -5.0)  # baseline of the hand-computed checks of every effect
+REACH = 1000.0  # largest ratio of length, force or command to the ordinary axis for which parameters are accepted
+SNAP = 1e-10  # s, tolerance of an edge in time, above the rounding error of the clock of a record
 
 CHANNELS = ("controller", "actuator", "plant", "sensor")
 VIEWS = ("v", "q", "t", "tau", "u", "loop", "step")
@@ -62,16 +62,16 @@ Parameters = Mapping[str, float]
 class Parameter(Quantity):
     """A parameter of an effect.
 
-    ``linear``: a linear regression gives it, as the coefficient of a column or, with others, through ``from_linear``
-    (amplitude and phase); the others are *shape* parameters. There are as many linear parameters as columns.
+    ``linear``: a linear regression gives it, as the coefficient of a column or, together with others, through
+    ``from_linear`` (amplitude and phase); the others are *shape* parameters. There are as many linear parameters as
+    columns.
     ``per_record``: it belongs to one record (the phase of a ripple, the time of an event), not to the machine.
-    ``starts``: values worth starting a fit from; a scan of a shape parameter uses them as its grid.
-    ``scale``: a typical size, where the starts do not give one. ``discrete``: chosen among the starts, never refined.
-    ``default``: what it is where a file does not give it, in the effect's first form; a search tries the other starts
-    once the effect is found and structure is left, and refines neither the default nor an end of the range. None: it
-    has to be given.
-    ``allowed``: lowest and highest that an axis file may give, where the bounds are those of a search alone.
-    Starts, bounds and scale are written for an ordinary linear axis; :mod:`.sizes` has those of another.
+    ``starts``: starting values of a fit; a scan of a shape parameter uses them as its grid.
+    ``scale``: a typical size, if the starts do not give one. ``discrete``: chosen among the starts, never refined.
+    ``default``: the value if a file does not give one. A search tries the other starts once the effect is found and
+    structure remains, and refines neither the default nor an end of the range. None: it must be given.
+    ``allowed``: lowest and highest value in an axis file, if these differ from the bounds of a search.
+    Starts, bounds and scale are those of an ordinary linear axis; :mod:`.sizes` scales them to another.
     """
 
     linear: bool = False
@@ -83,26 +83,28 @@ class Parameter(Quantity):
     allowed: tuple[float, float] | None = None
 
     def held_at(self, values: np.ndarray) -> bool:
-        """Whether a fit leaves ``values`` of the parameter (n,) as they are: a choice, or a form by itself."""
+        """Whether a fit does not change ``values`` (n,): a discrete parameter, its default, or an end of its range."""
         if self.default is None:
             return self.discrete
         return self.discrete or bool(np.all(np.isin(values, (self.default, self.lower, self.upper))))
 
     def check(self, value: float) -> float:
-        """As of any quantity, within what is ``allowed``, or for an axis up to ``REACH`` times larger or smaller than
-        the ordinary one."""
+        """Return ``value`` if it is within ``allowed``, or within bounds that are wider by ``REACH`` per dimension.
+
+        Raises as :meth:`Quantity.check`.
+        """
         if self.allowed is not None:
             return Quantity(self.name, self.symbol, self.unit, *self.allowed).check(value)
         sized = len(re.findall(r"\b[mNV]\b", self.unit))
         if self.discrete or not sized:
             return super().check(value)
-        reach = REACH**sized  # a weak axis with a long stroke: N/m differ by both
+        reach = REACH**sized  # N/m of a weak axis with a long stroke differs by both factors
         lower = self.lower / reach if self.lower > 0.0 else self.lower * reach
         return Quantity(self.name, self.symbol, self.unit, lower, self.upper * reach).check(value)
 
 
 def kind_of(name: str) -> str:
-    """The effect that ``name`` is a line of, itself where it is no numbered one.
+    """The effect of which ``name`` is a numbered line, or ``name`` itself.
 
     >>> kind_of("position_ripple 2"), kind_of("backlash")
     ('position_ripple', 'backlash')
@@ -112,12 +114,12 @@ def kind_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of a record or a simulation as a regressor takes it: all signals filtered alike, one row per sample.
+    """Motion of a record or a simulation for a regressor: all signals with the same filter, one row per sample.
 
-    ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s], ``tau`` [N] (motor force as a model predicts it, never measured:
-    a measured one would put the disturbance on both sides), ``voltage`` [V] the recorded one, ``smooth`` the
-    zero-phase low-pass that was applied (also to be applied to functions of ``q`` and ``t``, so that both sides are
-    filtered alike), ``period`` [s], ``force_gain`` G_tau [N/V], needed where a parameter is a voltage.
+    ``q`` [m], ``v`` [m/s], ``a`` [m/s^2], ``t`` [s]; ``tau`` [N] is the motor force predicted by a model, never the
+    measured one, which would put the disturbance on both sides; ``voltage`` [V] is the recorded one; ``smooth`` is the
+    zero-phase low-pass that was applied (to be applied to functions of ``q`` and ``t`` as well, so that both sides have
+    the same filter); ``period`` [s]; ``force_gain`` G_tau [N/V], needed if a parameter is a voltage.
     """
 
     t: np.ndarray
@@ -131,18 +133,18 @@ class Motion:
     force_gain: float = math.nan
 
     def derivative(self, signal: np.ndarray) -> np.ndarray:
-        """Central difference of ``signal`` over time [unit of signal per s], shape kept."""
+        """Time derivative of ``signal`` by central differences [unit of signal per s], same shape."""
         return np.gradient(signal, self.period)
 
 
 @dataclass(frozen=True)
 class Estimation:
-    """How an identification gives the parameters.
+    """Conversions between the parameters of an effect and those of an identification.
 
-    ``to_linear``/``from_linear`` translate between parameters and the coefficients of the regressor's columns; by
+    ``to_linear``/``from_linear`` convert between parameters and the coefficients of the regressor's columns; by
     default the coefficients are the linear parameters themselves.
-    ``identified_by``: for each model or term of ``identify`` that has the effect among its parameters, the function
-    that takes those to the effect's own.
+    ``identified_by``: for each model or term of ``identify`` that includes the effect, the function from its parameters
+    to those of the effect.
     """
 
     to_linear: Callable[[Parameters], np.ndarray] | None = None
@@ -152,20 +154,20 @@ class Estimation:
 
 @dataclass(frozen=True)
 class Solver:
-    """What a simulation may know of the hooks: where they are not smooth, and which exact solution they have.
+    """Properties of the hooks that a simulation uses: where they are not smooth, and which exact solution they have.
 
     ``guard``      changes sign where the kernels are not smooth (contact, play); located as an event
     ``jump_time``  s, ``jump_time(..., t, ...)``: the next instant after ``t`` at which a kernel jumps in time
-    ``lag``        s, time constant: the effect is a first-order lag of the motor force and nothing else, as ``force``
-                   and ``rate`` say too
-    ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is viscous friction by direction and nothing else,
-                   as ``force`` says too; the impedance law can model it
+    ``lag``        s, time constant: the effect is only a first-order lag of the motor force; ``force`` and ``rate``
+                   must agree
+    ``slopes``     ``slopes(p) -> (to +, to -)`` N/(m/s): the effect is only viscous friction by direction; ``force``
+                   must agree; the impedance law can model it
     ``affine``     ``affine(p) -> (lower, upper)``: with these parameters ``force`` and ``rate`` are affine in ``q``,
-                   ``v``, ``x`` as long as the first own state is within that range [its unit], above it, or below it
-                   (infinite: everywhere), and read neither ``t`` nor ``tau``, and ``dry`` and ``inertia`` never
-                   change; a simulation steps events only. None: they are not
-    ``by_travel``  True: the one own state is a memory of the path: ``rate`` is proportional to ``v``, affine in ``x``
-                   for each direction, and reads only ``level`` besides; ``force`` is proportional to ``x``
+                   ``v``, ``x`` while the first state is within that range [its unit], above it, or below it (infinite:
+                   everywhere); they do not depend on ``t`` or ``tau``, and ``dry`` and ``inertia`` are constant. A
+                   simulation then needs steps at events only. None: not affine
+    ``by_travel``  True: the only state depends on the path: ``rate`` is proportional to ``v``, affine in ``x`` for each
+                   direction, and otherwise depends on ``level`` only; ``force`` is proportional to ``x``
     """
 
     guard: Kernel | None = None
@@ -180,15 +182,16 @@ class Solver:
 class Search:
     """How a diagnosis looks for the effect.
 
-    ``propose(motion, residual, b, away)`` looks at the force residual (n,) [N] of the inverse model, trusted where
-    ``away`` (n,) is True (away from reversals), and returns starting points for a fit: dicts of parameters, in which
-    linear ones may be left out. None: every combination of the parameters' ``starts``.
-    ``plausible(parameters, motion)`` says whether fitted numbers still describe this effect on that motion: a stop that
-    acts on most of the stroke is a spring, a ripple longer than a third of it is no ripple. None: they always do.
-    ``confused_with``: names of the effects that look alike.
-    ``general``: a curve of any shape, which could stand in for other physics: tried after all other effects.
-    ``element``: one of several whose sum has any shape; with an unknown effect present it may be part of that.
-    ``lines``: how many of it, of different shape, one machine may have; ``after`` is the name of the one before.
+    ``propose(motion, residual, b, away)`` takes the force residual (n,) [N] of the inverse model, valid where ``away``
+    (n,) is True (away from reversals), and returns starting points for a fit: dicts of parameters, linear ones
+    optional. None: every combination of the parameters' ``starts``.
+    ``plausible(parameters, motion)`` returns whether fitted parameters still describe this effect on that motion: a
+    stop that acts on most of the stroke is a spring, and a ripple longer than a third of it is not a ripple. None:
+    always.
+    ``confused_with``: names of similar effects.
+    ``general``: a curve of any shape, which could imitate other physics: tried after all other effects.
+    ``element``: one of several whose sum has any shape; if an unknown effect is present, it may be part of that.
+    ``lines``: how many of it, of different shape, one machine may have; ``after`` is the name of the previous one.
     """
 
     propose: Callable[..., list[dict[str, float]]] | None = None
@@ -202,8 +205,8 @@ class Search:
 
 @dataclass(frozen=True)
 class Words:
-    """What to tell whoever has the effect: ``where`` a record shows it, the ``experiment`` that tells it from others,
-    and the ``remedy``."""
+    """Texts for the user: ``where`` a record shows the effect, the ``experiment`` that separates it from others, and
+    the ``remedy``."""
 
     where: str = ""
     experiment: str = ""
@@ -212,10 +215,10 @@ class Words:
 
 @dataclass(frozen=True)
 class Claims:
-    """What the contract tests hold the kernels to.
+    """Properties of the kernels that the contract tests check.
 
     ``parity``: of the contribution in ``v``, "odd", "even" or "" for neither.
-    ``passive``: over a motion that ends where it began, at rest, the effect never gives back more work than it took.
+    ``passive``: over a closed motion, from rest to rest, the effect does not deliver work.
     """
 
     parity: str = ""
@@ -224,9 +227,9 @@ class Claims:
 
 @dataclass(frozen=True)
 class Effect:
-    """One physical effect: its physics, then in groups what an identification, a solver, a search and a reader ask.
+    """One physical effect: its physics, and groups of data for identification, solver, search and reader.
 
-    ``channel`` is where it acts; ``motion`` is "rotary" of what only an axis that turns has, "" of the others.
+    ``channel`` is where it acts; ``motion`` is "rotary" for effects of rotary axes only, else "".
 
     Hooks (None: the effect does not act there):
 
@@ -234,27 +237,27 @@ class Effect:
     ``dry``        N, added to the Coulomb level that multiplies the set-valued sign
     ``inertia``    kg, added to the mass on the encoder's side
     ``command``    V, added to the controller's output (the recorded ``u`` contains it)
-    ``actuator``   ``actuator(u, p) -> V``, static map from the recorded voltage to the one that acts
-    ``delay``      s, between the recorded voltage and the one that acts
+    ``actuator``   ``actuator(u, p) -> V``, static map from the recorded to the acting voltage
+    ``delay``      s, between the recorded and the acting voltage
     ``sensor``     m, added to the position that the encoder reports
-    ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the own ``states``;
-                   ``level`` is the Coulomb level L of the moment [N]
-    ``initial``    ``initial(q0, p, b) -> tuple`` own states at rest at ``q0``. None: all 0
+    ``rate``       ``rate(q, v, t, tau, x, p, b, level, dx)`` fills ``dx`` with the derivative of the ``states``;
+                   ``level`` is the present Coulomb level L [N]
+    ``initial``    ``initial(q0, p, b) -> tuple`` states at rest at ``q0``. None: all 0
 
-    What else it is:
+    Further properties:
 
-    ``takes_dry``  True: ``rate`` and ``force`` stand in for the set-valued friction (presliding)
-    ``winding``    True: the ``slopes`` are gone where the winding is open, and other effects see the motor force less
-                   what they brake. A search needs a record with the motor switched off for a while
-    ``play``       the parameter [m] that is the width of a gap within which nothing is transmitted
-    ``repeats``    the parameter [m] after which it repeats along the travel; its slope over position then averages out
-    ``over``       the variable that it goes by: "v", "q", "t", "tau", "u", a "loop" of position, or after a "step"
+    ``takes_dry``  True: ``rate`` and ``force`` replace the set-valued friction (presliding)
+    ``winding``    True: the ``slopes`` are zero while the winding is open, and other effects see the motor force minus
+                   this braking. A search needs a record with the motor switched off for some time
+    ``play``       the parameter [m] that is the width of a gap within which no force is transmitted
+    ``repeats``    the parameter [m] that is the period in position; the mean slope over position is then zero
+    ``over``       the variable it depends on: "v", "q", "t", "tau", "u", a "loop" of position, or after a "step"
 
     ``regressor(motion, shape, b)`` returns the columns, shape (n_samples, n_linear) [N per unit of the coefficient],
-    of the extra force on the left-hand side of the inverse dynamic model; None where measured signals give no column,
-    as of own states, and no parameter is linear.
-    ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` stands for the voltage in a
-    static actuator map); None where own states are needed.
+    of the extra force on the left-hand side of the inverse dynamic model; None if measured signals determine no column,
+    as with states, and no parameter is linear.
+    ``expression(q, v, t, tau, p, b)`` is the SymPy form of :meth:`contribution` (``tau`` is the voltage in a static
+    actuator map); None if states are needed.
     ``checks``: points computed by hand for ``CHECK_BASELINE``, (parameters, arguments of :meth:`contribution`, value).
     """
 
@@ -295,11 +298,11 @@ class Effect:
         if self.over not in VIEWS:
             raise AxisError(f"effect {self.name}: over {self.over!r}, expected one of {', '.join(VIEWS)}")
         if (self.regressor is None) != (not self.linear):
-            raise AxisError(f"effect {self.name}: a regressor and linear parameters come together")
+            raise AxisError(f"effect {self.name}: expected both a regressor and linear parameters, or neither")
         if (self.rate is None) != (not self.states):
-            raise AxisError(f"effect {self.name}: states and rate come together")
+            raise AxisError(f"effect {self.name}: expected both states and a rate, or neither")
         if self.solver.by_travel and (len(self.states) != 1 or self.force is None):
-            raise AxisError(f"effect {self.name}: a memory of the path is one own state with a force")
+            raise AxisError(f"effect {self.name}: by_travel needs exactly one state and a force")
         names = [p.name for p in self.parameters]
         for length in filter(None, (self.play, self.repeats)):
             if length not in names:
@@ -312,7 +315,7 @@ class Effect:
         return self.motion in ("", motion)
 
     def confusable(self, other: Effect) -> bool:
-        """Whether this effect and ``other`` are known to be confused, whichever of the two says so."""
+        """Whether either of this effect and ``other`` names the other in ``confused_with``."""
         return other.name in self.search.confused_with or self.name in other.search.confused_with
 
     def several(self) -> tuple[Effect, ...]:
@@ -330,16 +333,16 @@ class Effect:
 
     @property
     def linear(self) -> tuple[str, ...]:
-        """Names of the parameters that a linear regression gives, one for each column."""
+        """Names of the linear parameters, one for each column of the regressor."""
         return tuple(p.name for p in self.parameters if p.linear)
 
     @property
     def shape(self) -> tuple[str, ...]:
-        """Names of the other parameters."""
+        """Names of the shape parameters, which are not linear."""
         return tuple(p.name for p in self.parameters if not p.linear)
 
     def place(self, name: str) -> int:
-        """The place of the parameter ``name`` among all."""
+        """The index of the parameter ``name``."""
         return [p.name for p in self.parameters].index(name)
 
     def hook(self, name: str) -> Callable[..., Any] | None:
@@ -347,16 +350,19 @@ class Effect:
         return getattr(self.solver if name in EVENTS else self, name)
 
     def at_rest(self, q0: float, p: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """The own states at rest at ``q0`` [m]."""
+        """The states at rest at ``q0`` [m]."""
         return np.zeros(len(self.states)) if self.initial is None else np.array(self.initial(q0, p, b), dtype=float)
 
     def completed(self, parameters: Parameters) -> dict[str, float]:
-        """``parameters`` with the defaults of those that are not given."""
+        """``parameters`` with the defaults of missing ones."""
         defaults = {p.name: p.default for p in self.parameters if p.default is not None and p.name not in parameters}
         return {**parameters, **defaults}
 
     def values(self, parameters: Parameters) -> np.ndarray:
-        """Return ``parameters`` as the array ``p`` of the kernels; unknown, missing or impossible ones are refused."""
+        """Return ``parameters`` as the array ``p`` of the kernels.
+
+        Raises :class:`AxisError` for unknown, missing or impossible ones.
+        """
         parameters = self.completed(parameters)
         known = [p.name for p in self.parameters]
         for name in parameters:
@@ -382,11 +388,11 @@ class Effect:
         u: float = 0.0,
         x: tuple[float, ...] = (),
     ) -> float:
-        """Return what the effect does at one point of the motion, in the unit of its channel.
+        """Return the contribution of the effect at one point of the motion, in the unit of its channel.
 
         Plant and dynamic actuator: extra force [N] on the left-hand side, ``force + dry sign(v)``, or the added mass
-        [kg] where there is only that. Static actuator map: voltage that acts [V] for ``u``. Otherwise the voltage
-        added [V], the delay [s] or the error of the sensor [m].
+        [kg] if that is all. Static actuator map: acting voltage [V] for ``u``. Otherwise the added voltage [V], the
+        delay [s] or the error of the sensor [m].
 
         >>> from emps_design.effects import get_effect
         >>> get_effect("nonlinear_viscous_friction").contribution({"amount": 9.0, "exponent": 1.0}, np.zeros(4), v=-0.1)
@@ -400,7 +406,7 @@ class Effect:
             hook = self.inertia or self.command or self.sensor or self.delay
             if hook is None:
                 raise AxisError(
-                    f"effect {self.name}: it has no hook, expected at least one of {', '.join(SCALAR_HOOKS)}"
+                    f"effect {self.name}: found no hook, expected at least one of {', '.join(SCALAR_HOOKS)}"
                 )
             return float(hook(*point))
         total = self.force(*point) if self.force is not None else 0.0
@@ -409,19 +415,19 @@ class Effect:
         return float(total)
 
     def coefficients(self, parameters: Parameters) -> np.ndarray:
-        """Coefficients of the regressor's columns that belong to ``parameters``."""
+        """Coefficients of the regressor's columns for ``parameters``."""
         if self.estimation.to_linear is not None:
             return np.asarray(self.estimation.to_linear(parameters), dtype=float)
         return np.array([parameters[name] for name in self.linear])
 
     def from_coefficients(self, coefficients: np.ndarray, shape: Parameters) -> dict[str, float]:
-        """Parameters that belong to the regressor's ``coefficients`` at the given ``shape`` parameters."""
+        """Parameters for the regressor's ``coefficients`` and the given ``shape`` parameters."""
         if self.estimation.from_linear is not None:
             return self.estimation.from_linear(coefficients, shape)
         return {**dict(zip(self.linear, map(float, coefficients), strict=True)), **dict(shape)}
 
     def to_dict(self) -> dict[str, Any]:
-        """Words, units and bounds as plain data, for catalogues and reports."""
+        """Texts, units and bounds as plain data, for catalogues and reports."""
         return {
             "name": self.name,
             "label": self.label,

@@ -1,7 +1,7 @@
-"""Data-driven starting points for effects whose shape no short list of values covers: periods, instants, pulses.
+"""Starting values from data, for shapes that no short list of values covers: periods, instants, pulses.
 
 All functions take a force residual (n,) [N] of the inverse model, valid where ``away`` (n,) is True, and return
-proposals; a fit of the closed loop decides between them.
+proposals, which are then fitted in closed loop.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ import numpy as np
 from emps_design.stretches import stretches
 
 SHARP = 2e-3  # s, resolution of the edges of pulses
-THINNED = 3000  # samples kept for a search: above 100 Hz of a 25 s record
-MOST_PULSES = 100  # of a train; more of them are a periodic disturbance
-CHUNK = 32  # wave numbers at a time, so that the arrays fit into the processor's cache
+THINNED = 3000  # samples used for a search: above 100 Hz for a 25 s record
+MOST_PULSES = 100  # of a train; more are a periodic disturbance
+CHUNK = 32  # wave numbers at a time, so that the arrays fit into the cache of the processor
 
 
 def thin(away: np.ndarray, most: int = THINNED) -> np.ndarray:
-    """Indices of at most ``most`` of the samples ``away`` from reversals, evenly spread."""
+    """Indices of at most ``most`` samples ``away`` from reversals, evenly spaced."""
     valid = np.nonzero(away)[0]
     return valid[:: max(1, -(-valid.size // most))]
 
 
 def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual at ``index`` without its projection on mass, friction and offset; and their orthonormal basis (k, 4)."""
+    """Residual (k,) at ``index`` without its projection on mass, friction and offset, and their orthonormal basis."""
     columns = np.column_stack([a[index], v[index], np.sign(v[index]), np.ones(index.size)])
     scale = np.linalg.norm(columns, axis=0)
     basis = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)[0]
@@ -36,12 +36,12 @@ def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray
 def squares_explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     """Sum of squares (m,) of ``target`` (k,) that each pair of columns of ``sine`` and ``cosine`` (k, m) explains.
 
-    ``target`` is orthogonal to the orthonormal ``basis`` (k, 4); the part of the pairs within the basis does not count.
+    ``target`` is orthogonal to the orthonormal ``basis`` (k, 4); the part of the pairs in its span does not count.
     """
     inside = basis.T @ sine, basis.T @ cosine
     whole = sine, cosine
 
-    def product(i: int, j: int) -> np.ndarray:  # of what is outside the basis
+    def product(i: int, j: int) -> np.ndarray:  # of the parts orthogonal to the basis
         return np.einsum("km,km->m", whole[i], whole[j]) - np.einsum("km,km->m", inside[i], inside[j])
 
     aa, bb, ab = product(0, 0), product(1, 1), product(0, 1)
@@ -75,9 +75,9 @@ def periods(
 ) -> list[float]:
     """Periods of ``coordinate`` (n,) at which ``columns`` explain most of ``residual``.
 
-    ``columns(index, waves, sine, cosine)`` returns the two columns of each angular wave number, shape (k, m) both.
-    Searched from the span of the coordinate down to ``shortest`` [unit of the coordinate], at half the resolution of
-    the span.
+    ``columns(index, waves, sine, cosine)`` returns the two columns of each angular wave number, shape (k, m) both. The
+    search goes from the span of the coordinate down to ``shortest`` [unit of the coordinate], in steps of half the
+    resolution of the span.
     """
     index = thin(away)
     span = float(np.ptp(coordinate[index])) if index.size else 0.0
@@ -88,10 +88,10 @@ def periods(
     power = np.empty(turns.size)
     angle = 2 * np.pi * coordinate[index][:, None]
     first = np.exp(1j * angle * turns[:CHUNK])
-    for start in range(0, turns.size, CHUNK):  # the waves of a piece are those of the first one, shifted in phase
+    for start in range(0, turns.size, CHUNK):  # the waves of a chunk are those of the first one, shifted in phase
         piece = slice(start, start + CHUNK)
-        turned = first[:, : turns[piece].size] * np.exp(1j * angle * (turns[start] - turns[0]))
-        phases = np.ascontiguousarray(turned.imag), np.ascontiguousarray(turned.real)
+        shifted = first[:, : turns[piece].size] * np.exp(1j * angle * (turns[start] - turns[0]))
+        phases = np.ascontiguousarray(shifted.imag), np.ascontiguousarray(shifted.real)
         power[piece] = squares_explained(target, basis, *columns(index, 2 * np.pi * turns[piece], *phases))
     return [float(1.0 / turns[i]) for i in strongest(power, count)]
 
@@ -118,16 +118,16 @@ def instants(
 
     coarse = np.linspace(t[index[0]], t[index[-1]], 62)
     step, edges = coarse[1] - coarse[0], []
-    for best in strongest(power(coarse[1:-1]), 3):  # then to a fiftieth of the step: an edge has no gradient
+    for best in strongest(power(coarse[1:-1]), 3):  # refined to a fiftieth of the step: an edge has no gradient
         fine = coarse[1 + best] + np.linspace(-step, step, 101)
         edges.append(float(fine[int(np.argmax(power(fine)))]))
     return edges
 
 
 def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str, float]]:
-    """Pulse trains (amplitude, start, duration, every) that ``residual`` (n,) [N] shows; strongest first.
+    """Pulse trains (amplitude, start, duration, every) in ``residual`` (n,) [N], the strongest first.
 
-    A pulse is an interval in which the residual, averaged over 20 ms, stays beyond four robust deviations.
+    A pulse is an interval in which the residual, averaged over 20 ms, exceeds four robust standard deviations.
     """
     width = max(1, round(0.02 / period))
     smooth = np.convolve(residual - np.median(residual), np.ones(width) / width, mode="same")
@@ -148,9 +148,9 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
         begins = [float(t[runs[i][0]]) for i in alike]
         gaps = np.diff(begins)
         pulse = {"amplitude": heights[tallest], "start": begins[0], "duration": duration}
-        # Where some pulses are missed, the least time between two is the one from each to the next.
-        rhythms = {float(np.median(gaps)), float(gaps.min())} if gaps.size else set()
-        trains += [{**pulse, "every": every} for every in sorted(rhythms)]
+        # If some pulses are not found, the shortest interval between two is the period.
+        intervals = {float(np.median(gaps)), float(gaps.min())} if gaps.size else set()
+        trains += [{**pulse, "every": every} for every in sorted(intervals)]
         trains.append({**pulse, "start": float(t[runs[tallest][0]]), "every": 0.0})
     trains = [pulse for pulse in trains if not pulse["every"] or t[-1] - pulse["start"] < MOST_PULSES * pulse["every"]]
     area = np.concatenate(([0.0], np.cumsum(residual - np.median(residual)))) * period
@@ -159,24 +159,24 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
 
 
 def _refined_train(pulse: dict[str, float], area: np.ndarray, t: np.ndarray, period: float) -> dict[str, float]:
-    """The train near ``pulse`` whose boxes hold most of the signal with running integral ``area`` (n + 1,).
+    """The train near ``pulse`` that best fits the signal with the integral ``area`` (n + 1,).
 
-    Where friction hides the edge of a pulse, the first guess of its edges is off, and so is every later pulse.
+    If friction hides the edge of a pulse, the first estimate of its edges is wrong, and so are all later pulses.
     """
     start, every, length = pulse["start"], pulse["every"], pulse["duration"]
     least = max(length, (t[-1] - start) / MOST_PULSES)  # pulses do not overlap
     for step in (5 * SHARP, SHARP):
         reach = step * np.arange(-12, 13)
-        rhythm = np.maximum(every + reach, least) if every else np.zeros(1)
-        s, e, d = np.meshgrid(start + reach, rhythm, np.maximum(length + reach, 4 * step), indexing="ij")
+        intervals = np.maximum(every + reach, least) if every else np.zeros(1)
+        s, e, d = np.meshgrid(start + reach, intervals, np.maximum(length + reach, 4 * step), indexing="ij")
         d = np.minimum(d, e) if every else d
-        inside, held = np.zeros(s.shape), np.zeros(s.shape)
+        inside, total = np.zeros(s.shape), np.zeros(s.shape)
         for k in range(int((t[-1] - start) / every) + 1 if every else 1):
             begin = np.clip(np.rint((s + k * e - t[0]) / period).astype(int), 0, t.size)
             end = np.clip(np.rint((s + k * e + d - t[0]) / period).astype(int), 0, t.size)
-            held += area[end] - area[begin]
+            total += area[end] - area[begin]
             inside += (end - begin) * period
-        best = np.unravel_index(np.argmax(held**2 / np.maximum(inside, period)), s.shape)
+        best = np.unravel_index(np.argmax(total**2 / np.maximum(inside, period)), s.shape)
         start, every, length = float(s[best]), float(e[best]), float(d[best])
-        height = float(held[best] / max(float(inside[best]), period))
+        height = float(total[best] / max(float(inside[best]), period))
     return {"amplitude": height, "start": max(start, 0.0), "duration": length, "every": every}

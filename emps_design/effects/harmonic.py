@@ -1,7 +1,7 @@
 """Effects that are one harmonic, A sin(angle + phase): kernel, two linear coefficients, parameters, search.
 
-Amplitude and phase are not linear; the coefficients of sine and cosine of the angle are, and give both. :func:`along`
-makes the effect of a harmonic of the travel.
+Amplitude and phase follow from the coefficients of sine and cosine of the angle, which are linear. :func:`along`
+makes the effect of a harmonic over position.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from emps_design.effects import guesses
 from emps_design.effects.effect import Effect, Estimation, Motion, Parameter, Parameters
 from emps_design.effects.sizes import stroke_size
 
-SHORTEST = 5e-4  # m of an ordinary stroke, below which no period of travel is sought
+SHORTEST = 5e-4  # m, shortest period in position that is looked for on an ordinary stroke
 
 
 def along_travel(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> float:
-    """One harmonic of the position ``q`` [m], a kernel: ``p`` = amplitude, phase [rad], travel of a period [m]."""
+    """Kernel of one harmonic of the position ``q`` [m]: ``p`` = amplitude, phase [rad], period [m]."""
     return p[0] * math.sin(2.0 * math.pi / p[2] * q + p[1])
 
 
@@ -29,13 +29,13 @@ def columns(angle: np.ndarray) -> np.ndarray:
 
 
 def filtered_columns(motion: Motion, angle: np.ndarray) -> np.ndarray:
-    """Return sin and cos of ``angle`` (n,) [rad], filtered as the ``motion`` is, shape (n, 2)."""
+    """Return sin and cos of ``angle`` (n,) [rad], filtered like ``motion``, shape (n, 2)."""
     sine, cosine = columns(angle).T
     return np.column_stack([motion.smooth(sine), motion.smooth(cosine)])
 
 
 def estimation(size: str = "amplitude", angle: str = "phase", **identified_by: Any) -> Estimation:
-    """Return how the coefficients of sine and cosine give the parameters ``size``, not negative, and ``angle`` [rad].
+    """Return the conversion of sine and cosine coefficients to the parameters ``size`` >= 0 and ``angle`` [rad].
 
     >>> wave = estimation()
     >>> wave.to_linear({"amplitude": 2.0, "phase": 0.0})
@@ -56,10 +56,10 @@ def estimation(size: str = "amplitude", angle: str = "phase", **identified_by: A
 
 
 def along(hook: str, amplitude: Parameter, repeats: Parameter, **declared: Any) -> Effect:
-    """Return the effect whose ``hook``, "force", "dry" or "sensor", is one harmonic of the travel.
+    """Return the effect whose ``hook``, "force", "dry" or "sensor", is one harmonic over position.
 
-    ``repeats`` is the parameter of the travel after which it does. ``declared`` are the other fields of the effect; its
-    ``regressor`` is by default sine and cosine, with the sign of the velocity where the hook is "dry".
+    ``repeats`` is the parameter that is its period. ``declared`` are the other fields of the effect; ``regressor`` is
+    by default sine and cosine, times the sign of the velocity if the hook is "dry".
     """
 
     def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -78,21 +78,21 @@ def along(hook: str, amplitude: Parameter, repeats: Parameter, **declared: Any) 
 
 
 def phase(zero: str) -> Parameter:
-    """The phase at ``zero``, which lies elsewhere in every record."""
+    """The parameter of the phase at ``zero``, which differs from record to record."""
     return Parameter("phase", r"\varphi", "rad", linear=True, scale=1.0, per_record=True, text=f"phase at {zero}")
 
 
 def period(what: str) -> Parameter:
-    """The travel after which ``what`` repeats, from a tenth of a millimetre to 10 cm."""
+    """The parameter of the travel after which ``what`` repeats, 0.1 mm to 10 cm."""
     starts = (0.001, 0.002, 0.0025, 0.004, 0.005, 0.01, 0.02)
     text = f"travel after which {what} repeats"
     return Parameter("period", r"\lambda", "m", lower=1e-4, upper=0.1, starts=starts, text=text)
 
 
 def periods(motion: Motion, residual: np.ndarray, away: np.ndarray, columns: guesses.Waves) -> list[dict[str, float]]:
-    """Starts for a ``period``: where ``columns`` explain most of ``residual`` (n,) [N] on the samples ``away``.
+    """Starts for ``period``: those at which ``columns`` explain most of ``residual`` (n,) [N] on the samples ``away``.
 
-    The shortest that is tried is in proportion to the stroke, and not below what the record resolves.
+    The shortest is proportional to the stroke, and not shorter than the record resolves.
     """
     shortest = max(SHORTEST * stroke_size(motion.q), shortest_resolved(motion))
     lengths = guesses.periods(residual, motion.q, motion.v, motion.a, away, columns, shortest)
@@ -100,7 +100,7 @@ def periods(motion: Motion, residual: np.ndarray, away: np.ndarray, columns: gue
 
 
 def shortest_resolved(motion: Motion) -> float:
-    """The shortest period of travel [m] that a record resolves: two samples a period along half of the travel.
+    """The shortest period in position [m] that a record resolves: two samples per period on half of the travel.
 
     >>> t = np.arange(0.0, 1.0, 0.01)
     >>> shortest_resolved(Motion(t, 0.1 * t, 0.1 + 0.0 * t, 0.0 * t, 0.0 * t, 0.01))
@@ -112,12 +112,12 @@ def shortest_resolved(motion: Motion) -> float:
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
-    """Whether a ``period`` is a line: one longer than a third of the stroke is a force, or a scale, over all of it."""
+    """Whether a ``period`` is a line; longer than a third of the stroke it is a force or a scale error."""
     return parameters["period"] < float(np.ptp(motion.q)) / 3
 
 
 def waves(size: np.ndarray | float = 1.0) -> guesses.Waves:
-    """Sine and cosine as a search asks for them, multiplied by ``size`` (n,) sample by sample."""
+    """The function that multiplies sine and cosine by ``size`` (n,), for :func:`.guesses.periods`."""
 
     def columns(
         index: np.ndarray, waves: np.ndarray, sine: np.ndarray, cosine: np.ndarray

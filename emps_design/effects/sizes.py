@@ -1,8 +1,8 @@
-"""Starts and bounds of an effect for the axis at hand: those of the library are written for an ordinary linear axis.
+"""Starting values and bounds of an effect, scaled to an axis: those of the library hold for an ordinary linear axis.
 
-A backlash of 0.1 mm is plausible on a stroke of 0.25 m, one of 1 mrad on an axis that turns by 2 rad. So every
-start and bound with a length, a speed, a force or a command in its unit is scaled by how much longer, faster or
-stronger an axis is.
+A backlash of 0.1 mm is plausible on a stroke of 0.25 m, one of 1 mrad on an axis that turns by 2 rad. So every starting
+value and bound with a length, a speed, a force or a command in its unit is scaled by the ratio of the sizes of both
+axes.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 
 from emps_design.effects.effect import Effect, Parameter
 
-# The axis that the library's numbers are written for, by unit: stroke, top speed, largest motor force and command.
+# The ordinary axis of the library, by unit: stroke, top speed, largest motor force and command.
 ORDINARY = {"m": 0.25, "m/s": 0.15, "N": 200.0, "V": 5.0}
-ALIKE = 3.0  # up to this many times more or less, an axis is an ordinary one
+ALIKE = 3.0  # up to this ratio an axis counts as an ordinary one
 TURN = 2.0 * np.pi  # rad (or m), longest stroke that counts: a shaft repeats itself after one turn
 
 
 def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dict[str, float]:
-    """How large an axis is against the ordinary one, by unit, from ``q`` (n,) [m] and ``u`` (n,) [V] of a record.
+    """Size of an axis relative to the ordinary one, by unit, from ``q`` (n,) [m] and ``u`` (n,) [V] of a record.
 
-    1 where it is alike. The speed is taken over a hundredth of the record, below which an encoder's steps would count.
+    1 if it is similar. The speed is a mean over 1 % of the record, because of the resolution of the encoder.
 
     >>> t = np.arange(0.0, 10.0, 1e-3)
     >>> sizes(0.125 * np.sin(t), 5.0 * np.cos(t), 1e-3, 40.0)
@@ -40,7 +40,7 @@ def sizes(q: np.ndarray, u: np.ndarray, period: float, force_gain: float) -> dic
 
 
 def stroke_size(q: np.ndarray) -> float:
-    """How much longer than the ordinary stroke that of ``q`` (n,) [m or rad] is, 1 where it is alike.
+    """Stroke of ``q`` (n,) [m or rad] relative to the ordinary one, 1 if it is similar.
 
     >>> stroke_size(np.array([0.0, 0.24])), stroke_size(np.array([-1.0, 1.0])), stroke_size(np.array([0.0, 200.0]))
     (1.0, 8.0, 25.132741228718345)
@@ -65,7 +65,7 @@ def _relative_size(size: float, unit: str) -> float:
 
 
 def sized(effect: Effect, factors: Mapping[str, float]) -> Effect:
-    """The ``effect`` with starts, bounds and typical sizes of its parameters times the ``factors`` of their units.
+    """The ``effect`` with starts, bounds and typical sizes of its parameters scaled by the ``factors`` of their units.
 
     >>> from emps_design.effects import get_effect
     >>> small = get_effect("backlash")
@@ -79,7 +79,7 @@ def sized(effect: Effect, factors: Mapping[str, float]) -> Effect:
 
 
 def sized_parameter(parameter: Parameter, factors: Mapping[str, float]) -> Parameter:
-    """The ``parameter`` with starts, bounds and typical size times the factor of its unit."""
+    """The ``parameter`` with starts, bounds and typical size scaled by the factor of its unit."""
     factor = _factor(parameter.unit, factors)
     if factor == 1.0 or parameter.discrete:
         return parameter

@@ -1,6 +1,7 @@
-"""What an identification may have beside mass and friction, and in which parameters: a few of the effects.
+"""Terms that an identification may add to mass and friction, with their parameters. They belong to a few effects.
 
-An effect whose ``estimation.identified_by`` has the name of a term takes the term's parameters to its own.
+``estimation.identified_by`` of an effect has, by the name of a term, the conversion from the term's parameters to those
+of the effect.
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from typing import NamedTuple
 from emps_design.quantities import Quantity
 
 GRAVITY, ASYMMETRIC, BENT = "gravity", "asymmetric-viscous", "bent-viscous"
-LOWEST, HIGHEST = 0.3, 2.0  # power of the speed that a bent friction may have
-ANGLE = Quantity("gravity_angle", r"\varphi", "rad", text="angle of the arm from hanging at the encoder's zero")
+LOWEST, HIGHEST = 0.3, 2.0  # exponent of the speed in nonlinear viscous friction
+ANGLE = Quantity("gravity_angle", r"\varphi", "rad", text="angle of the arm from hanging down, at the encoder's zero")
 POWER = Quantity("viscous_exponent", "n", "", LOWEST, HIGHEST, text="power of the speed in viscous friction")
 
 
 class Term(NamedTuple):
-    """A term's parameters, the motions of an axis that can have it, and whether it needs a ``symmetric`` friction."""
+    """Parameters of a term, the ``motions`` of an axis that can have it, whether it needs ``symmetric`` friction."""
 
     quantities: tuple[Quantity, ...]
     motions: tuple[str, ...] = ("linear", "rotary")
@@ -25,7 +26,7 @@ class Term(NamedTuple):
 
 TERMS: dict[str, Term] = {
     GRAVITY: Term(
-        (Quantity("gravity_torque", "A", "N", text="weight times its distance"), ANGLE),
+        (Quantity("gravity_torque", "A", "N", text="weight times distance from the axis"), ANGLE),
         motions=("rotary",),
         symmetric=False,
     ),

@@ -1,8 +1,8 @@
-"""Effects that are a map over the travel, made by :func:`along`: a smooth curve through few knots, and its start.
+"""Effects that are a map over position, made by :func:`along`: a smooth curve through few knots.
 
-The travel from ``start`` to ``end`` is cut into six equal pieces. The curve is zero at the start, where the constant
-force or the Coulomb level of the axis holds, ``height_1`` to ``height_6`` at the other knots, and constant beyond both.
-Between knots it is the cubic whose slopes there are central differences (Catmull and Rom), at its two ends zero.
+The travel from ``start`` to ``end`` is divided into six equal pieces. The curve is zero at the start, where the
+constant force or the Coulomb level of the axis is valid, ``height_1`` to ``height_6`` at the other knots, and constant
+outside. Between knots it is a cubic; its slopes at the knots are central differences (Catmull-Rom), at both ends zero.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from emps_design.effects.effect import Effect, Motion, Parameter, Parameters, Se
 
 PIECES = 6
 NAMES = tuple(f"height_{i + 1}" for i in range(PIECES))
-ALIKE = 0.97  # of a map's variance, from which on a simpler curve fits as well
-LENGTHS = np.geomspace(0.4, 1.5, 12)  # of the harmonics to compare with, in spans of the map
+ALIKE = 0.97  # share of a map's variance from which on a simpler curve fits as well
+LENGTHS = np.geomspace(0.4, 1.5, 12)  # periods of the harmonics to compare with, in lengths of the map
 
 
 def height(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> float:
-    """The curve at ``q`` [m], a kernel: ``p`` = start, end [m], heights [N]."""
+    """Kernel of the curve at ``q`` [m]: ``p`` = start, end [m], heights [N]."""
     place = (q - p[0]) / (p[1] - p[0]) * PIECES
     if place <= 0.0:
         return 0.0
@@ -41,10 +41,10 @@ def height(q: float, v: float, t: float, tau: float, x: Any, p: Any, b: Any) -> 
 
 
 def parameters(what: str) -> tuple[Parameter, ...]:
-    """Where the map begins and ends, and its heights: ``what`` of them there."""
+    """The parameters of a map: start, end, and the heights at its knots; ``what`` describes a height."""
     return (
-        Parameter("start", "q_0", "m", -1e3, 1e3, starts=(0.0,), discrete=True, text="where the map begins"),
-        Parameter("end", "q_1", "m", -1e3, 1e3, starts=(0.25,), discrete=True, text="where the map ends"),
+        Parameter("start", "q_0", "m", -1e3, 1e3, starts=(0.0,), discrete=True, text="start of the map"),
+        Parameter("end", "q_1", "m", -1e3, 1e3, starts=(0.25,), discrete=True, text="end of the map"),
         *(
             Parameter(name, f"h_{i + 1}", "N", linear=True, scale=2.0, text=f"{what} after {i + 1} of {PIECES} pieces")
             for i, name in enumerate(NAMES)
@@ -53,7 +53,7 @@ def parameters(what: str) -> tuple[Parameter, ...]:
 
 
 def columns(motion: Motion, shape: Parameters) -> np.ndarray:
-    """What one newton of each height adds to the curve, (n, ``PIECES``)."""
+    """Change of the curve per newton of each height, (n, ``PIECES``)."""
     from scipy.interpolate import CubicHermiteSpline
 
     knots = np.linspace(shape["start"], shape["end"], PIECES + 1)
@@ -64,7 +64,7 @@ def columns(motion: Motion, shape: Parameters) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    """The travel of the record, to a thousandth of it; the heights come from a regression."""
+    """Start and end at the travel of the record, rounded to a thousandth; the heights come from a regression."""
     span = float(np.ptp(motion.q))
     if span == 0.0:
         return []
@@ -73,7 +73,7 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
 
 
 def plausible(line: bool) -> Callable[[Parameters, Motion], bool]:
-    """Return the test that no simpler curve fits as well: a harmonic of the travel, or, where asked, a ``line``."""
+    """Return the test that no simpler curve fits as well: a harmonic over position, or a straight ``line``."""
 
     def plausible(parameters: Parameters, motion: Motion) -> bool:
         place = np.linspace(0.0, 1.0, PIECES + 1)
@@ -88,10 +88,10 @@ def plausible(line: bool) -> Callable[[Parameters, Motion], bool]:
 
 
 def along(hook: str, what: str, confused_with: tuple[str, ...], line: bool = False, **declared: Any) -> Effect:
-    """Return the effect whose ``hook``, "force" or "dry", is the curve: ``what`` of it at each knot.
+    """Return the effect whose ``hook``, "force" or "dry", is the curve; ``what`` describes its height at a knot.
 
-    A force is filtered as the motion is, dry friction has the sign of the velocity. ``line``: a straight line is left
-    to another effect. ``declared`` are the other fields.
+    A force is filtered like the motion; dry friction has the sign of the velocity. ``line``: a straight line counts as
+    another effect. ``declared`` are the other fields.
     """
 
     def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ def along(hook: str, what: str, confused_with: tuple[str, ...], line: bool = Fal
 
 
 def in_symbols(q: Any, p: Parameters) -> Any:
-    """The curve in symbols."""
+    """The curve as a SymPy expression."""
     import sympy
 
     heights = [sympy.Integer(0), *(p[name] for name in NAMES)]

@@ -1,8 +1,8 @@
-"""What effects with part of the mass behind a coupling share: the parameters of the coupling and the load's states.
+"""Common part of effects with a share of the mass behind a coupling: parameters of the coupling and states of the load.
 
-Of the baseline's viscous and Coulomb friction a share may act on the load (guides, a spindle's nut), the rest on the
-encoder's side (motor bearings); the friction of other effects stays there. The load's direction is a smooth one, where
-friction brings it to rest: within ``SETTLING`` its speed has fallen by a factor of e.
+A share of the viscous and Coulomb friction of the baseline may act on the load (guides, spindle nut), the rest on the
+encoder's side (motor bearings), together with the friction of other effects. The sign of the load velocity is smoothed:
+friction brings the load to rest with a time constant of ``SETTLING``.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from emps_design.effects.effect import COULOMB, VISCOUS, Effect, Parameter
 from emps_design.quantities import Quantity
 
 STATES = (Quantity("twist", "d", "m"), Quantity("load_velocity", r"\dot q_l", "m/s"))
-LOWEST, HIGHEST = 5.0, 400.0  # Hz, between which a search looks for the resonance
-# What an axis file may give: a gantry with a long arm sways slowly, a small drive rings far beyond what a record shows.
+LOWEST, HIGHEST = 5.0, 400.0  # Hz, range of the resonance in a search
+# Limits of an axis file: a gantry with a long arm has a low resonance, a small drive one far above the record.
 RESONANCES, DAMPINGS, SHARES = (0.1, 20_000.0), (0.0, 10.0), (1e-4, 0.9999)
 SETTLING = 2e-5  # s
 
 
 def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) -> tuple[Parameter, ...]:
-    """Resonance [Hz] of the free ``pair`` of masses, its damping ratio, and the share of the mass ``behind`` it.
+    """Parameters: resonance [Hz] of the free ``pair`` of masses, damping ratio, share of the mass ``behind``, friction.
 
-    Their bounds are those within which a search looks; an axis file may go beyond them.
+    The bounds are those of a search; an axis file may exceed them.
     """
     resonance, ratio = f"resonance of the two masses{pair}, free", "damping ratio of that resonance"
     return (
@@ -45,7 +45,7 @@ def coupling(pair: str, starts: tuple[float, ...], damping: float, behind: str) 
 
 
 def load_friction(v: float, share: float, mass: float, b: np.ndarray) -> float:
-    """The ``share`` of the friction of the baseline ``b`` [N] that brakes a load of ``mass`` [kg] at ``v`` [m/s]."""
+    """The ``share`` of the baseline friction [N] that acts on a load of ``mass`` [kg] at ``v`` [m/s]."""
     if share == 0.0:  # the usual case, without the square root
         return 0.0
     coulomb = share * b[COULOMB]
@@ -54,15 +54,15 @@ def load_friction(v: float, share: float, mass: float, b: np.ndarray) -> float:
 
 
 def affine(share: float, half: float) -> tuple[float, float] | None:
-    """Range of the twist [m] around 0 with a play of ``half`` to each side, between and beyond which forces are affine.
+    """Range (-half, half) of the twist [m] for a play of ``half`` to each side; forces are affine inside and outside.
 
-    None where a ``share`` of the friction acts on the load, which it brings to rest in a curve.
+    None if a ``share`` of the friction acts on the load, because its smoothed sign is not affine.
     """
     return (-half, half) if share == 0.0 else None
 
 
 def is_coupling(effect: Effect) -> bool:
-    """Whether ``effect`` puts part of the mass behind a coupling, with play or without."""
+    """Whether ``effect`` puts part of the mass behind a coupling, with or without play."""
     return effect.states == STATES
 
 

@@ -1,8 +1,8 @@
-"""Control laws: the package's own library, one file each, and those that a user adds.
+"""Control laws: the library of the package, one file each, and laws added by the user.
 
-A user's own law is a file with a ``LAW`` like those here. :func:`load_file` registers it, and so does naming it in the
-environment, ``EMPS_DESIGN_LAWS=path1.py:path2.py`` (``;`` between paths on Windows), when the package is imported. It
-is a plain import: the file's code runs. An axis file then asks for it with ``controller.kind`` and its parameters.
+A user's law is a file with a ``LAW`` like those in the library. Register it with :func:`load_file`, or name it in the
+environment variable ``EMPS_DESIGN_LAWS=path1.py:path2.py`` (``;`` between paths on Windows) before importing the
+package. The file is imported, so its code runs. An axis file selects the law with ``controller.kind``.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from emps_design.tables import (
     unit_of as unit_of,
 )
 
-VARIABLE = "EMPS_DESIGN_LAWS"  # environment variable with the files of a user's own laws
-NONE = "none"  # the kind of a controller that is not known
+VARIABLE = "EMPS_DESIGN_LAWS"  # environment variable with the files of a user's laws
+NONE = "none"  # the kind of an unknown controller
 REGISTRY: Registry[LawKind[PlantTables]] = Registry("law", LawKind, LAWS, VARIABLE, "controller")
 
 known_laws, get_law = REGISTRY.known, REGISTRY.get
@@ -93,11 +93,10 @@ class ControlledAxis(PlantTables, Protocol):
 
 
 def law_of(axis: ControlledAxis, period: float, columns: Mapping[str, Any] | None = None) -> Law:
-    """The law that ``axis`` asks for, at a sampling ``period`` [s].
+    """The law of the controller of ``axis``, at a sampling ``period`` [s].
 
-    ``columns`` of a record give the gains that come from one, a number or an array (n,) each.
-    Raises :class:`AxisError` where the controller is ``none``, which has no law to close a loop with, and where a
-    column is missing.
+    ``columns`` of a record are the source of recorded gains, a number or an array (n,) each.
+    Raises :class:`AxisError` if the controller is ``none``, so that there is no loop, or if a column is missing.
 
     >>> from emps_design.machines import machine
     >>> law_of(machine("emps2019"), 1e-3).kernel.__name__
@@ -108,16 +107,17 @@ def law_of(axis: ControlledAxis, period: float, columns: Mapping[str, Any] | Non
         *most, last = known_laws()
         raise AxisError(
             f"{axis.name}: controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop; "
-            "law finds the one that made a record"
+            "`law` identifies the one that made a record"
         )
-    law, own, recorded = get_law(kind), _own_parameters(axis), recorded_gains(axis)
+    law, parameters, recorded = get_law(kind), _parameters_of_kind(axis), recorded_gains(axis)
     if not recorded:
-        return law.law(law.table(**own), axis, period)
+        return law.law(law.table(**parameters), axis, period)
     rows, sample = np.unique(_gain_rows(recorded, columns or {}), axis=0, return_inverse=True)
     row_laws = []
     for row in rows.tolist():
         try:
-            row_laws.append(law.law(law.table(**{**own, **dict(zip(recorded, row, strict=True))}), axis, period))
+            values = {**parameters, **dict(zip(recorded, row, strict=True))}
+            row_laws.append(law.law(law.table(**values), axis, period))
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]
             name, source = problem["loc"][0], recorded[str(problem["loc"][0])]
@@ -140,16 +140,16 @@ def recorded_gains(axis: ControlledAxis) -> dict[str, dict[str, Any]]:
     >>> recorded_gains(machine("emps2019").replace(controller={"kind": "p", "kp": kp}))
     {'kp': {'record': 'kp', 'scale': 2.0}}
     """
-    own = {} if axis.controller.kind == NONE else _own_parameters(axis)
-    return {name: source for name, source in own.items() if isinstance(source, dict) and "record" in source}
+    parameters = {} if axis.controller.kind == NONE else _parameters_of_kind(axis)
+    return {name: source for name, source in parameters.items() if isinstance(source, dict) and "record" in source}
 
 
 def table_of(axis: ControlledAxis) -> LawTable:
-    """The parameters of the law that ``axis`` asks for, without those kept there for other kinds."""
-    return get_law(axis.controller.kind).table(**_own_parameters(axis))
+    """The parameters of the law of ``axis``, without those stored there for other kinds."""
+    return get_law(axis.controller.kind).table(**_parameters_of_kind(axis))
 
 
-def _own_parameters(axis: ControlledAxis) -> dict[str, Any]:
+def _parameters_of_kind(axis: ControlledAxis) -> dict[str, Any]:
     parameters = axis.controller.parameters
     return {name: parameters[name] for name in get_law(axis.controller.kind).table.model_fields if name in parameters}
 
@@ -160,14 +160,14 @@ def _gain_rows(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.nda
     for name, source in sources.items():
         if source["record"] not in columns:
             raise AxisError(
-                f"controller.{name}: comes from column {source['record']!r} of a record, found "
+                f"controller.{name}: is taken from column {source['record']!r} of a record, found "
                 f"{', '.join(columns) or 'no record'}; expected a record with that column, or a number"
             )
         try:
             gains.append(source["scale"] * np.atleast_1d(np.asarray(columns[source["record"]], dtype=float)))
         except (TypeError, ValueError) as error:
             raise AxisError(
-                f"controller.{name}: column {source['record']!r} of the record is no numbers ({error})"
+                f"controller.{name}: column {source['record']!r} of the record has no numbers ({error})"
             ) from error
     return np.column_stack(np.broadcast_arrays(*gains))
 
@@ -175,8 +175,8 @@ def _gain_rows(sources: Mapping[str, Any], columns: Mapping[str, Any]) -> np.nda
 def checked_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Check the ``parameters`` of a law of ``kind`` and return them with its defaults, in the order of the laws.
 
-    A ``[controller]`` table may hold parameters of other kinds too, which are kept for a change of kind. Raises
-    pydantic's ``ValidationError`` for what is unknown or out of bounds, :class:`AxisError` for what is missing.
+    A ``[controller]`` table may also have parameters of other kinds, which are preserved for a change of kind. Raises
+    pydantic's ``ValidationError`` for unknown or impossible parameters, :class:`AxisError` for missing ones.
     """
     law = None if kind == NONE else get_law(kind)
     parameters = {name: value for name, value in parameters.items() if value is not None or name not in fields_of(kind)}
@@ -189,7 +189,7 @@ def checked_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, An
 
 
 def fields_of(kind: str = NONE) -> dict[str, FieldInfo]:
-    """Every parameter that a ``[controller]`` table may hold, by name; a name of several laws is that of ``kind``.
+    """Every parameter that a ``[controller]`` table may have, by name; if several laws share a name, that of ``kind``.
 
     >>> fields_of()["kp"].json_schema_extra["unit"]
     '1/s'
@@ -203,7 +203,7 @@ def fields_of(kind: str = NONE) -> dict[str, FieldInfo]:
 
 
 def field_at(kind: str, path: Sequence[str]) -> FieldInfo | None:
-    """The field at a ``path`` of keys of the ``[controller]`` table, inner tables included; None where there is none.
+    """The field at a ``path`` of keys of the ``[controller]`` table, inner tables included; None if there is none.
 
     >>> field_at("cascade", ["velocity", "ti"]).json_schema_extra["unit"]
     's'
@@ -217,7 +217,7 @@ def field_at(kind: str, path: Sequence[str]) -> FieldInfo | None:
 
 
 def fields_within(field: FieldInfo | None) -> dict[str, FieldInfo]:
-    """The keys of the table that a ``field`` holds, or of each in a list of them; none of a number."""
+    """The keys of the table in a ``field``, or of each in a list of tables; none for a number."""
     group = _group(field.annotation) if field else None
     return group.model_fields if group else {}
 
@@ -237,7 +237,7 @@ def leaves(parameters: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[
 
 
 def _group(annotation: Any) -> type[AxisTable] | None:
-    """The table that a field holds, or a list of, by its ``annotation``; None where it holds none."""
+    """The table, or the table in a list, that a field has by its ``annotation``; None if it has none."""
     if isinstance(annotation, type) and issubclass(annotation, AxisTable):
         return annotation
     return next(filter(None, map(_group, get_args(annotation))), None)
@@ -251,7 +251,7 @@ def _table(kind: str, laws: tuple[LawKind[PlantTables], ...]) -> type[LawTable]:
     for name, field in fields_of(kind).items():
         if name not in base.model_fields:
             candidates = [law.table.model_fields[name] for law in laws if name in law.table.model_fields]
-            field = next(filter(_from_record, candidates), field)  # the widest type: it is kept as it was written
+            field = next(filter(_from_record, candidates), field)  # the widest type, so that any entry is preserved
             optional = copy(field)
             optional.default = None
             constrained: Any = Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
@@ -261,7 +261,7 @@ def _table(kind: str, laws: tuple[LawKind[PlantTables], ...]) -> type[LawTable]:
 
 
 def _from_record(field: FieldInfo) -> bool:
-    """Whether a record may give the ``field``."""
+    """Whether the value of ``field`` may come from a record."""
     return any(FromRecord in (member, *get_args(member)) for member in get_args(field.annotation))
 
 

@@ -1,4 +1,4 @@
-"""How a law estimates the velocity: a linear filter ``E(z)`` of the backward difference of its encoder's position.
+"""Velocity estimators of a law: a linear filter ``E(z)`` of the backward difference of the encoder position.
 
     v = E(z) (q[k] - q[k-1]) / T,    E(z) = (b0 + b1 z^-1 + ...) / (1 + a1 z^-1 + ...),    E(1) = 1
 
@@ -8,11 +8,11 @@
     filtered, ``frequency``             w0 / (s + w0), w0 = 2 pi frequency, by the bilinear transform without prewarping
     tracking, ``bandwidth`` w           ((1 - p) / (1 - p z^-1))^2, p = exp(-w T)
 
-The slope is that of the straight line through the last n positions by least squares: 2 points are the backward
-difference, 3 are two_tap. The tracking loop is a phase-locked loop: it predicts ``x + T v``, and of the error e of that
-it adds ``(1 - p^2) e`` to the position x and ``(1 - p)^2 e / T`` to the velocity v, which puts both of its poles at the
-bandwidth; of so fast a clock that w T is small the gains are 2 w T and w^2 T. A kernel keeps the filter's states behind
-its own memory and runs it in transposed direct form; at rest they are 0.
+The slope is that of the least-squares line through the last n positions: 2 points are the backward difference, 3 are
+two_tap. The tracking loop is a phase-locked loop: it predicts ``x + T v`` and, with the prediction error e, adds
+``(1 - p^2) e`` to the position x and ``(1 - p)^2 e / T`` to the velocity v. Both poles are then at the bandwidth; for
+small w T the gains are 2 w T and w^2 T. A kernel stores the states of the filter after its own memory, in transposed
+direct form; at rest they are 0.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ EXPECTED = (
     'two_tap, backward, { kind = "slope", points = n }, { kind = "filtered", frequency = Hz } or '
     '{ kind = "tracking", bandwidth = rad/s }'
 )
-NAME, TABLE = "a name", "a table of its own"  # tags of the union; with blanks, as no key of a table has
+NAME, TABLE = "a name", "a table of its own"  # tags of the union; blanks separate them from table keys
 
 
 class Estimator(AxisTable):
@@ -48,9 +48,9 @@ class Estimator(AxisTable):
         "",
     )
     points: Annotated[int, Field(ge=2, le=MOST_POINTS, strict=True)] | None = parameter(
-        "positions that the slope is taken of", "samples", None
+        "number of positions for the slope", "samples", None
     )
-    frequency: Positive | None = parameter("corner of the low-pass behind the difference", "Hz", None)
+    frequency: Positive | None = parameter("corner of the low-pass after the difference", "Hz", None)
     bandwidth: Positive | None = parameter("both poles of the tracking loop", "rad/s", None)
 
     @model_validator(mode="after")
@@ -85,9 +85,9 @@ AnyEstimator = KnownEstimator | Mapping[str, Any]  # or as plain data
 
 
 def estimator_of(estimator: AnyEstimator) -> KnownEstimator:
-    """The estimator with this name or table (plain data); an :class:`Estimator` is returned as it is.
+    """The estimator with this name or table (plain data); an :class:`Estimator` is returned unchanged.
 
-    Raises :class:`InputError` for any other.
+    Raises :class:`InputError` for any other value.
 
     >>> estimator_of({"kind": "slope", "points": 4}).number, estimator_of("backward")
     (4.0, 'backward')
@@ -108,7 +108,7 @@ def estimator_of(estimator: AnyEstimator) -> KnownEstimator:
 
 
 def polynomials(estimator: AnyEstimator, period: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """``b`` and ``a`` of E(z) in powers of 1/z, equally many, at a sampling ``period`` [s].
+    """``b`` and ``a`` of E(z) in powers of 1/z, of equal length, at a sampling ``period`` [s].
 
     >>> polynomials({"kind": "slope", "points": 4}, 1e-3)
     ((0.3, 0.4, 0.3), (1.0, 0.0, 0.0))
@@ -148,7 +148,7 @@ def estimator_at(estimator: AnyEstimator, back: np.ndarray, period: float) -> np
 
 
 def continuous(estimator: AnyEstimator) -> tuple[list[float], list[float]]:
-    """Numerator and denominator in s [1/s], highest power first, of the limit of E(z) with ever faster sampling.
+    """Numerator and denominator in s [1/s], highest power first, of the limit of E(z) for infinitely fast sampling.
 
     >>> continuous({"kind": "tracking", "bandwidth": 100.0})
     ([10000.0], [1.0, 200.0, 10000.0])
@@ -169,7 +169,7 @@ def taps(estimator: AnyEstimator) -> float:
 
 
 def coefficients(estimator: AnyEstimator, period: float) -> tuple[float, ...]:
-    """Coefficients in a kernel's gains, b0 to bn, then a1 to an; none where :func:`taps` is not negative."""
+    """Coefficients in a kernel's gains, b0 to bn, then a1 to an; none if :func:`taps` is not negative."""
     if not taps(estimator) < 0.0:
         return ()
     b, a = polynomials(estimator, period)
@@ -182,7 +182,7 @@ def states(order: float) -> int:
 
 
 def forgets(estimator: AnyEstimator) -> float:
-    """Periods after which the estimate is 0 once the carriage stands still; inf where it only decays."""
+    """Periods after which the estimate is 0 once the carriage is at rest; inf if it only decays."""
     b, a = polynomials(estimator, 1.0)
     return math.inf if any(a[1:]) else float(len(b))
 

@@ -1,13 +1,14 @@
-"""What a control law is: a difference equation, its parameters, what it knows of the machine, and what joins them.
+"""Control laws: a difference equation, its parameters, and the properties of the axis that it uses.
 
-The kernel *is* the law, in plain Python of numbers, computed once a sample:
+The kernel is the law itself, a Python function of numbers, called once per sample:
 
     ``u = kernel(k, reference, q, f_ext, limit, gains, memory)``
 
-``k`` counts samples from 0; ``reference`` is what the law follows, one of ``FOLLOWS`` [m or m/s]; ``q`` [m] is what the
-encoder reports, ``f_ext`` [N] what a force sensor on the carriage reports; ``limit`` [V] bounds the voltage
-``u``; ``gains`` are its numbers and ``memory`` its own, zero at first. Before the first sample the carriage stood still
-at ``q[0]``. Simulations compile it; :mod:`.linear` runs it on linear numbers, which gives a loop its poles.
+``k`` counts samples from 0; ``reference`` is the reference of the law, one of ``FOLLOWS`` [m or m/s]; ``q`` [m] is the
+output of the encoder, ``f_ext`` [N] that of a force sensor on the carriage; ``limit`` [V] bounds the voltage ``u``;
+``gains`` are the constants and ``memory`` the states of the law, initially zero. Before the first sample the carriage
+is at rest at ``q[0]``. Simulations compile the kernel; :mod:`.linear` evaluates it with linear numbers, from which the
+poles of a loop follow.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from emps_design.records import Record
 from emps_design.tables import AxisEffect, AxisTable, Drive, Finite, Mechanics, Positive, Sampling
 
 PARAMETERS = ("mass", "viscous_positive", "viscous_negative", "coulomb_positive", "coulomb_negative")
-FOLLOWS = ("position", "velocity", "rest position")  # the last is where a spring pulls to, and no more
+FOLLOWS = ("position", "velocity", "rest position")  # the last is the rest position of a virtual spring
 
 
 class FromRecord(AxisTable):
-    """A gain that the record gives: ``scale`` times its column ``record``, one number or one for each sample."""
+    """A gain from the record: ``scale`` times the column ``record``, one number or one for each sample."""
 
     record: str = Field(description="name of the column", json_schema_extra={"unit": ""})
-    scale: Finite = Field(1.0, description="what the column is multiplied by", json_schema_extra={"unit": ""})
+    scale: Finite = Field(1.0, description="factor on the column", json_schema_extra={"unit": ""})
 
 
-NUMBER, RECORDED = "a number", "a column of the record"  # tags of the union; with a blank, as no key of a table has
+NUMBER, RECORDED = "a number", "a column of the record"  # tags of the union; the blank separates them from table keys
 Gain = Annotated[
     Annotated[Positive, Tag(NUMBER)] | Annotated[FromRecord, Tag(RECORDED)],
     Discriminator(lambda gain: RECORDED if isinstance(gain, dict | FromRecord) else NUMBER),
@@ -43,13 +44,13 @@ Gain = Annotated[
 
 
 class LawTable(AxisTable):
-    """The ``[controller]`` table of one kind of law without its ``kind``; what every law has."""
+    """The ``[controller]`` table of one kind of law without ``kind``: the parameters common to all laws."""
 
     velocity_estimator: VelocityEstimator = Field(TWO_TAP, description=WORDS)
 
 
 class PlantTables(Protocol):
-    """What a law may read of the axis it runs on; every :class:`~emps_design.axis.Axis` has it."""
+    """The part of an axis that a law may read; every :class:`~emps_design.axis.Axis` has it."""
 
     @property
     def mechanics(self) -> Mechanics:
@@ -65,14 +66,14 @@ class PlantTables(Protocol):
 
     @property
     def effects(self) -> Sequence[AxisEffect]:
-        """The physics that the mechanics lack."""
+        """The effects beyond the mechanics."""
 
     @property
     def damping(self) -> float:
         """Viscous friction plus braking by the back-EMF [N/(m/s)]."""
 
 
-Reads = TypeVar("Reads", contravariant=True)  # what a kind of law reads of the axis
+Reads = TypeVar("Reads", contravariant=True)  # the part of the axis that a kind of law reads
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,9 @@ class FrictionModel:
 
     @classmethod
     def of(cls, axis: PlantTables) -> FrictionModel:
-        """Read X from an axis; back-EMF and effects proportional to speed add to the viscous friction.
+        """X of an axis; back-EMF and effects proportional to speed add to the viscous friction.
 
-        Other effects are left out, see :func:`left_out`.
+        Other effects are not included, see :func:`left_out`.
 
         >>> from emps_design.machines import machine
         >>> FrictionModel.of(machine("emps2018-two-quadrant")).viscous_negative
@@ -110,7 +111,7 @@ class FrictionModel:
 
     @property
     def directions(self) -> tuple[int, ...]:
-        """The directions of motion that differ: 1 and -1, or 1 alone where friction is alike in both."""
+        """The directions of motion with different friction: 1 and -1, or 1 alone if friction is symmetric."""
         return (1, -1) if self.two_quadrant else (1,)
 
     @property
@@ -126,8 +127,8 @@ class FrictionModel:
     def with_errors(self, errors: dict[str, Any]) -> FrictionModel:
         """Return estimates ``(1 + error)`` times these numbers; raises :class:`InputError` if one turns negative.
 
-        ``errors`` has keys of ``PARAMETERS``, or ``viscous`` and ``coulomb`` for both directions alike; arrays (m,)
-        make m models of one.
+        ``errors`` has keys of ``PARAMETERS``, or ``viscous`` and ``coulomb`` for both directions; with arrays (m,) the
+        result has the numbers of m models.
 
         >>> FrictionModel(100.0, 400.0, 400.0, 20.0, 20.0).with_errors({"coulomb": 0.05}).coulomb
         (21.0, 21.0)
@@ -155,7 +156,7 @@ class FrictionModel:
 
 
 def left_out(axis: PlantTables) -> tuple[str, ...]:
-    """Kinds of the effects of ``axis`` that X of (5) leaves out; name them wherever the model is used."""
+    """Kinds of the effects of ``axis`` that are not in X of (5); to be named wherever the model is used."""
     return tuple(entry.kind for entry in axis.effects if entry.effect.solver.slopes is None)
 
 
@@ -163,10 +164,10 @@ def left_out(axis: PlantTables) -> tuple[str, ...]:
 class Law:
     """A control law with its numbers: the kernel, its ``gains``, the length of its ``memory``; the rest of its kind.
 
-    ``gains`` (g,), or (n, g) where a record gives them sample by sample. After ``cycle`` samples the law does the same
-    again: 1, but for loops of different rates. For :mod:`.linear` the gains may be a list that holds arrays (m,), of m
-    laws, or symbols. With ``error_alone`` its position input is the position error, and the integral at place
-    ``integral`` of its memory is held while the limit acts on the sum of law and feed-forward (None: no integral).
+    ``gains`` (g,), or (n, g) if they come from a record sample by sample. The law is periodic with ``cycle`` samples:
+    1, except for loops of different rates. For :mod:`.linear` the gains may be a list that has arrays (m,), of m laws,
+    or symbols. With ``error_alone`` its position input is the position error, and the integral at place ``integral`` of
+    its memory is held while the limit acts on the sum of law and feed-forward (None: no integral).
     """
 
     kernel: Callable[..., float]
@@ -181,8 +182,8 @@ class Law:
     def on_error(self) -> Law:
         """The law with the position error ``q`` - reference [m] as its position, and 0 as its reference.
 
-        Of a linear law this leaves out the response to its own reference (the braking of a velocity feedback, its own
-        feed-forward), so that a feed-forward of the whole motion can be added. A law that follows a velocity takes the
+        For a linear law this removes the response to its own reference (the damping by a velocity feedback, its own
+        feed-forward), so that a feed-forward of the whole motion can be added. A law that follows a velocity gets the
         position of its reference.
         """
         return replace(self, follows="position", state_feedback=False, error_alone=True)
@@ -202,12 +203,12 @@ class Law:
     def inputs(
         self, reference: np.ndarray, q: np.ndarray, f_ext: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Reference, position and force (n,) that the kernel gets, of those of the axis; no force counts as 0."""
+        """Reference, position and force (n,) for the kernel, from those of the axis; a missing force is 0."""
         sensed = np.zeros(q.size) if f_ext is None else f_ext
         return (np.zeros(q.size), q - reference, sensed) if self.error_alone else (reference, q, sensed)
 
     def reference(self, q_ref: np.ndarray, period: float) -> np.ndarray:
-        """Reference of the law (n,) [m or m/s] for the positions ``q_ref`` (n,) [m]: those, or their rate."""
+        """Reference of the law (n,) [m or m/s] for the positions ``q_ref`` (n,) [m]: these, or their derivative."""
         return np.diff(q_ref, prepend=q_ref[:1]) / period if self.follows == "velocity" else q_ref
 
     def followed(self, record: Record) -> np.ndarray:
@@ -219,28 +220,28 @@ class Law:
 
 @dataclass(frozen=True)
 class LawKind(Generic[Reads]):
-    """One kind of control law: its words, its table in the axis file, its kernel, and the numbers the kernel gets.
+    """One kind of control law: its texts, its table in the axis file, its kernel, and the kernel's constants.
 
     ``table`` is the pydantic model of its parameters, with units, bounds and descriptions. ``gains(p, axis, period)``
-    gives the kernel's numbers from a table ``p``, the axis it runs on and the sampling ``period`` [s]; ``memory`` is
-    the length of the kernel's memory, or a function of table and axis. Of the axis they read :class:`PlantTables`, or
-    nothing: the kinds of ``LawKind[object]``, those of a velocity loop, are determined by their table alone.
+    returns the kernel's constants for a table ``p``, the axis and the sampling ``period`` [s]; ``memory`` is the length
+    of the kernel's memory, or a function of table and axis. Of the axis they read :class:`PlantTables`, or nothing: the
+    kinds of ``LawKind[object]``, those of a velocity loop, are determined by their table alone.
     ``equations(p, axis, period)`` are the lines to paste into a drive. ``follows`` is one of ``FOLLOWS``, or a function
-    of the table, and so is ``cycle``, after how many samples the law does the same again.
+    of the table; so is ``cycle``, the period of the law in samples.
 
-    ``loops(p)`` are the loops within one another, innermost first: a name, and the table of the law up to that loop
-    without feed-forward. One that follows a velocity is broken at the plant input, one that follows a position at the
-    position error. ``state_feedback`` says that the kernel is ``u = gains[0] (reference - q) - gains[1] v`` and no
-    more, with 1/period and whether v is the two-tap estimate behind them: fused runs compute it in its place, but for
-    estimators that are a table.
-    ``gain`` is the parameter (dotted where it is in a table of its own) that scales all the law answers to the motion.
-    ``apparent`` says that the law gives the carriage the apparent ``mass`` and ``damping`` of its table.
-    ``integral`` is the place in the memory of an integral that does not run while the limit acts, or a function of the
-    table that gives it, None for none: beside a feed-forward the kernel does not see when that is.
-    ``propose(reference, q, u, p, period)`` gives parameters by name with which the law makes a recorded voltage ``u``
-    best (nan: not to be fitted), or None.
+    ``loops(p)`` are the nested loops, innermost first: a name, and the table of the law up to that loop without
+    feed-forward. A loop that follows a velocity is broken at the plant input, one that follows a position at the
+    position error. ``state_feedback``: the kernel is exactly ``u = gains[0] (reference - q) - gains[1] v``, with
+    1/period and whether v is the two-tap estimate after these; fused runs compute it directly, except for estimators
+    that are a table.
+    ``gain`` is the parameter (dotted if it is in an inner table) that scales the whole response to the motion.
+    ``apparent``: the law gives the carriage the apparent ``mass`` and ``damping`` of its table.
+    ``integral`` is the place in the memory of an integral that is held while the limit acts, or a function of the table
+    that returns it, None for none: with a feed-forward the kernel itself does not know when the limit acts.
+    ``propose(reference, q, u, p, period)`` returns parameters by name with which the law best fits a recorded voltage
+    ``u`` (nan: not to be fitted), or None.
 
-    Raises :class:`AxisError` for a law that follows nothing known.
+    Raises :class:`AxisError` for an unknown ``follows``.
     """
 
     name: str
@@ -268,11 +269,11 @@ class LawKind(Generic[Reads]):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Names of the parameters that have to be given."""
+        """Names of the required parameters."""
         return tuple(name for name, field in self.table.model_fields.items() if field.is_required())
 
     def law(self, p: LawTable, axis: Reads, period: float) -> Law:
-        """The law with the numbers of the table ``p``, on ``axis``, at a sampling ``period`` [s]."""
+        """The law with the parameters of the table ``p``, on ``axis``, at a sampling ``period`` [s]."""
         gains = np.array(self.gains(p, axis, period), dtype=float)
         return Law(
             self.kernel,

@@ -1,8 +1,8 @@
-"""The linear form of a law while the carriage slides one way, from the law's own kernel run on linear numbers.
+"""The linear form of a law while the carriage slides in one direction, from its kernel evaluated with linear numbers.
 
-A linear number carries a value, which decides comparisons and branches, and beside it what the number is as a function
-of the law's inputs and memory: a constant and one slope for each. The slopes are exact, no finite differences, and may
-come from any ring: floats, arrays (m,) for as many laws at once, SymPy expressions.
+A linear number has a value, which decides comparisons and branches, and its dependence on the inputs and the memory of
+the law: a constant and one slope for each. The slopes are exact, not finite differences, and may be from any ring:
+floats, arrays (m,) of m laws, SymPy expressions.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SPEED = 0.1  # m/s, of the slide in which the branches are taken
 
 
 class Linear:
-    """``constant + sum(slopes[name] * name)``, with the ``value`` it has where the branches are taken.
+    """``constant + sum(slopes[name] * name)``, with its ``value`` at the point where branches are decided.
 
     >>> x = Linear(2.0, 0.0, {"x": 1.0})
     >>> y = 3.0 * x - 1.0
@@ -33,7 +33,7 @@ class Linear:
     (5.0, -1.0, {'x': 3.0}, True)
     """
 
-    __array_ufunc__ = None  # arrays leave arithmetic with these numbers to them
+    __array_ufunc__ = None  # arrays use the arithmetic of this class
     __slots__ = ("constant", "slopes", "value")
 
     def __init__(self, value: float, constant: Any, slopes: dict[Any, Any] | None = None):
@@ -112,8 +112,7 @@ class LinearLaw:
 
     ``inputs`` names them: reference, q, f_ext, and any gains taken as signals. Shapes (..., n, n), (..., n, i),
     (..., n), (..., i); leading axes are those of arrays among the gains, before them that of the samples of a ``cycle``
-    where loops have different rates. ``moved`` (..., n) is what the memory of a law at rest gains for each metre of
-    position.
+    if loops have different rates. ``moved`` (..., n) is the change of the memory at rest per metre of position.
     """
 
     A: np.ndarray
@@ -127,35 +126,35 @@ class LinearLaw:
     def to_ss(self, period: float) -> control.StateSpace:
         """The law as a discrete ``control.StateSpace`` from its inputs to the voltage.
 
-        Raises :class:`AxisError` for a law of different rates, which has none of that ``period``.
+        Raises :class:`AxisError` for a law with different rates, which is not time-invariant at that ``period``.
         """
         import control
 
         if self.cycle > 1:
             raise AxisError(
-                f"law: found loops of different rates, the same again after {self.cycle} samples, expected one rate; "
-                "take to_ss() of the closed loop, which is lifted over them"
+                f"law: found loops of different rates with a period of {self.cycle} samples, expected one rate; "
+                "use to_ss() of the closed loop, which is lifted over them"
             )
         names = {"inputs": list(self.inputs), "outputs": ["voltage"], "name": "law"}
         return control.ss(self.A, self.B, self.C[None], self.D[None], period, **names)
 
     def used(self, moved: bool = False) -> np.ndarray:
-        """Which cells of the memory take part in a loop (n,): an input drives them, and they drive the output.
+        """The cells (n,) bool of the memory that are in a loop: an input drives them, and they drive the output.
 
-        A cell that nothing drives keeps its number and would add its own pole to every loop. ``moved``: the cells count
-        from the position of the carriage, so that it also drives those that remember a position from the start.
+        A cell without an input keeps its number and would add a pole to every loop. ``moved``: the cells are relative
+        to the position of the carriage, which then also drives those that store an initial position.
         """
-        onward = _any_nonzero(self.A, 2)
+        links = _any_nonzero(self.A, 2)
         driven, observable = _any_nonzero(self.B, 2).any(axis=1), _any_nonzero(self.C, 1)
         if moved:
             driven = driven | _any_nonzero(self.moved, 1)
         for _ in observable:
-            driven, observable = driven | (onward @ driven), observable | (observable @ onward)
+            driven, observable = driven | (links @ driven), observable | (observable @ links)
         return driven & observable
 
     @property
     def keeps_to_changes(self) -> bool:
-        """Whether the law depends on changes of position only: a shift of all positions leaves the voltage as it is."""
+        """Whether the law depends on changes of position only: a shift of all positions does not change the voltage."""
         A, B, s = self.A, self.B[..., 1], self.moved
         change = (A @ s[..., None])[..., 0] + B - s, np.sum(self.C * s, axis=-1) + self.D[..., 1]
         size = np.abs(A) @ np.abs(s)[..., None], np.sum(np.abs(self.C * s), axis=-1) + np.abs(self.D[..., 1])
@@ -166,7 +165,7 @@ class LinearLaw:
 def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[int, str] | None = None) -> LinearLaw:
     """The linear form of ``law`` at a sampling ``period`` [s] while the carriage slides to + or - (0: sticks).
 
-    Arrays (m,) among the gains make m laws; ``signals`` names gains, by place, as inputs.
+    Arrays (m,) in the gains are m laws; ``signals`` names gains, by place, as inputs.
     Raises :class:`AxisError` for a law that multiplies signals.
 
     >>> from emps_design.laws import law_of
@@ -190,35 +189,36 @@ def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[in
 
 
 def own_poles(law: Law, period: float) -> np.ndarray:
-    """Poles (..., count) of the loop from a law's voltage back to it within the law, while the carriage sticks.
+    """Poles (..., count) of the internal loop of a law, from its voltage back to it, while the carriage sticks.
 
-    The loop has the memory cells that depend on the voltage and on which the voltage depends. Which depend on it shows
-    in a run with the voltage held at its limit. Filters of the position alone are not among them.
+    The loop has the memory cells that depend on the voltage and on which the voltage depends. The former are found by a
+    run with the voltage at its limit. Filters of the position are not part of it.
     """
     u, cells = run_linear(law, period, 0.0)
     _, limited = run_linear(law, period, 0.0, limit=-1.0)
     memory = law.memory
-    A, held, C = _dense(cells, range(memory)), _dense(limited, range(memory)), _dense([u], range(memory))[..., 0, :]
-    onward = _any_nonzero(held, 2)
-    fed, feeds = _any_nonzero(A - held, 2).any(axis=1), _any_nonzero(C, 1)
+    A, A_limited = _dense(cells, range(memory)), _dense(limited, range(memory))
+    C = _dense([u], range(memory))[..., 0, :]
+    links = _any_nonzero(A_limited, 2)
+    driven, observable = _any_nonzero(A - A_limited, 2).any(axis=1), _any_nonzero(C, 1)
     for _ in range(memory):
-        fed, feeds = fed | (onward @ fed), feeds | (feeds @ onward)
-    inside = np.flatnonzero(fed & feeds)
+        driven, observable = driven | (links @ driven), observable | (observable @ links)
+    inside = np.flatnonzero(driven & observable)
     return np.linalg.eigvals(A[..., inside, :][..., inside])
 
 
 def run_linear(law: Law, period: float, direction: float = 1.0, limit: float = np.inf) -> tuple[Linear, list[Linear]]:
     """Output and next memory of ``law`` as linear numbers of its memory, by place, and of its inputs, by name.
 
-    Gains may be linear numbers themselves: a value to decide branches by, and a symbol as its constant. With a
-    ``limit`` below zero the voltage is at its limit, whatever it would be. Of a law's cycle it is the first sample.
+    Gains may be linear numbers, too: a value that decides branches, and a symbol as constant. With a ``limit`` below
+    zero the voltage is always at its limit. The result is for the first sample of a cycle.
     """
     k, past = next(_slide(law, period, direction))
     return _run(law, period, direction, k, past, limit=limit)
 
 
 def _slide(law: Law, period: float, direction: float) -> Iterator[tuple[int, list[Any]]]:
-    """The samples k of a slide, from the first of a cycle on by which the law is set up, and its memory before each."""
+    """Sample numbers k of a slide, from the first cycle after the start-up of the law, and the memory before each."""
     values, past = [_value(gain) for gain in _gain_list(law.gains)], [0.0] * law.memory
     first = -(-(law.memory + 4) // law.cycle) * law.cycle
     for k in itertools.count():
@@ -243,7 +243,7 @@ def _run(
     signals: dict[int, str] | None = None,
     limit: float = np.inf,
 ) -> tuple[Linear, list[Linear]]:
-    """Output and next memory at sample ``k`` of the slide, before which the memory is ``past``."""
+    """Output and next memory at sample ``k`` of the slide, with the memory ``past`` before it."""
     numbers = _gain_list(law.gains)
     reference, at = _slide_point(law, period, direction, k)
     for place, name in (signals or {}).items():
@@ -255,12 +255,12 @@ def _run(
 
 
 def _gain_list(gains: Any) -> list[Any]:
-    """A new list of the ``gains``, Python floats where they are an array."""
+    """A new list of the ``gains``; those of an array as Python floats."""
     return gains.tolist() if isinstance(gains, np.ndarray) else list(gains)
 
 
 def _any_nonzero(matrix: np.ndarray, axes: int) -> np.ndarray:
-    """Which entries of a ``matrix`` with that many ``axes`` are not 0 in any law of the leading axes."""
+    """The entries of a ``matrix`` with that many ``axes`` that are nonzero in any law of the leading axes."""
     return np.any(matrix != 0.0, axis=tuple(range(matrix.ndim - axes)))
 
 

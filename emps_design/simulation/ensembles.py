@@ -1,10 +1,10 @@
 """Simulate many plants in parallel, on every core, or on a cluster.
 
-The plants are corners of a spread, a Monte-Carlo over it, or the sweep of one parameter. Work goes through joblib, so
-it runs in threads here and, inside ``joblib.parallel_config(backend="dask")``, on a ``dask.distributed`` cluster with
-the same call. Plants are split into equal parts whatever the number of workers, and share nothing: the numbers are the
-same for any number of workers. A plant that cannot be simulated is flagged and does not affect the others; an interrupt
-keeps the finished ones.
+The plants are corners of a spread, a Monte Carlo sample of it, or the sweep of one parameter. Joblib distributes the
+work: in threads by default and, inside ``joblib.parallel_config(backend="dask")``, on a ``dask.distributed`` cluster
+with the same call. Plants are split into equal parts and are independent, so the results do not depend on the number of
+workers. A plant that cannot be simulated is flagged and does not affect the others; after an interrupt the finished
+ones are returned.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ METRICS = {  # name: unit
     "peak_voltage": "V",
     "rest_share": "",
 }
-_PART = {"lanes": 8 * LANES, "single": 8}  # plants handed out at a time
+_PART = {"lanes": 8 * LANES, "single": 8}  # plants per task
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Plants:
 
 
 def monte_carlo(axis: Axis, spread: float | Mapping[str, float], plants: int, seed: int = 0) -> Plants:
-    """Draw ``plants`` plants uniformly within +- ``spread``, relative, of each name or of the whole baseline.
+    """Draw ``plants`` plants uniformly within the relative +- ``spread`` of each named parameter, or of the baseline.
 
     Names are ``mass``, ``viscous``, ``coulomb``, ``offset`` and ``effect.parameter``.
 
@@ -136,15 +136,15 @@ def _varied(axis: Axis, names: tuple[str, ...], values: np.ndarray, relative: bo
                 f"parameter: found {name!r}, expected one of {', '.join(known)}{nearest_name(name, list(known))}"
             )
         place, i = known[name]
-        own = baseline if place < 0 else parameters[place]
-        values[:, column] *= own[:, i] if relative else 1.0
-        own[:, i] = values[:, column]
+        table = baseline if place < 0 else parameters[place]
+        values[:, column] *= table[:, i] if relative else 1.0
+        table[:, i] = values[:, column]
     return Plants(baseline, parameters, names, values)
 
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Metrics of many plants, one row per plant: ``metrics`` by name (NaN where it did not finish), and ``status``.
+    """Metrics of many plants: ``metrics`` (m,) by name, NaN for plants that did not finish, and ``status`` (m,).
 
     ``tracking_rms`` [m] of reference minus position; ``position_rms`` [m] and ``force_rms`` [N] of record minus
     simulation, if there is a record; ``peak_voltage`` [V]; ``rest_share`` of the samples at rest.
@@ -205,7 +205,7 @@ def simulate_ensemble(
     wanted = np.ascontiguousarray(q_ref, dtype=float)
     if record is not None and len(record) != wanted.size:
         raise InputError(f"ensemble: q_ref has {wanted.size} samples, the record {len(record)}; expected the same")
-    law_of(axis, axis.sampling.period)  # refuse an axis without a loop before any work is handed out
+    law_of(axis, axis.sampling.period)  # raises for an axis without a controller before any task starts
     course = Course(
         axis,
         wanted,
@@ -219,9 +219,9 @@ def simulate_ensemble(
     size = _PART["lanes" if course.fits_lanes else "single"]
     starts = range(0, len(plants), size)
     calls = (delayed(course.part)(start, plants.part(start, start + size)) for start in starts)
-    answers = Parallel(n_jobs=workers, prefer="threads", return_as="generator_unordered", batch_size=1)(calls)
+    results = Parallel(n_jobs=workers, prefer="threads", return_as="generator_unordered", batch_size=1)(calls)
     try:
-        for finished, (start, rows, failures) in enumerate(answers, 1):
+        for finished, (start, rows, failures) in enumerate(results, 1):
             part = slice(start, start + len(rows))
             table[part], status[part] = rows, DONE
             for index, reason in failures.items():
@@ -229,7 +229,7 @@ def simulate_ensemble(
             if progress is not None:
                 progress("plants", finished / len(starts))
     except KeyboardInterrupt:
-        answers.close()
+        results.close()
         interrupted = True
     metrics = {name: table[:, i] for i, name in enumerate(METRICS)}
     if record is None:
@@ -239,7 +239,7 @@ def simulate_ensemble(
 
 @dataclass(frozen=True)
 class Course:
-    """What every plant of an ensemble follows: ``q_ref`` (n,) [m] on ``axis``, with a ``disturbance`` (n,) [N] or none.
+    """The inputs of all plants of an ensemble: ``q_ref`` (n,) [m] on ``axis``, and ``disturbance`` (n,) [N] or None.
 
     ``measured`` are position [m] and voltage [V], (n,) each, to compare with; ``quantise``: the encoder has steps.
     """
@@ -252,23 +252,23 @@ class Course:
 
     @property
     def q0(self) -> float:
-        """Position [m] at first."""
+        """Initial position [m]."""
         return float(self.q_ref[0] if self.measured is None else self.measured[0][0])
 
     @property
     def first(self) -> int:
-        """First sample that counts."""
+        """First sample of the metrics."""
         return min(DROPPED, self.q_ref.size - 1)
 
     @property
     def fits_lanes(self) -> bool:
-        """Whether lanes can run it: the friction plant, its force the command's at once, under a state feedback."""
+        """Whether lanes can run it: the friction plant without lag or delay, under a state feedback."""
         axis = self.axis
         plain = not axis.effects and axis.drive.current_time_constant == 0 and axis.sampling.computation_delay == 0
         return plain and law_of(axis, axis.sampling.period).state_feedback
 
     def part(self, start: int, plants: Plants) -> tuple[int, np.ndarray, dict[int, str]]:
-        """Metrics of ``plants``, the first of which is number ``start``: that, a row per plant, reasons of failures."""
+        """``start``, metrics (m, k) of ``plants``, and reasons of failures by number; the first plant is ``start``."""
         mass, baselines = self.axis.units.word("mass"), plants.baseline
         rows = np.full((len(plants), len(METRICS)), np.nan)
         reasons: dict[int, str] = {}
@@ -280,7 +280,7 @@ class Course:
                 good.append(i)
         if good and self.fits_lanes:
             rows[good] = self.side_by_side(baselines[good])
-            good = [i for i in good if not np.isfinite(rows[i]).all()]  # those that the lanes gave up
+            good = [i for i in good if not np.isfinite(rows[i]).all()]  # those that the lanes could not finish
         plant = Plant.of(self.axis)
         for i in good:
             try:
@@ -290,7 +290,7 @@ class Course:
         return start, rows, reasons
 
     def side_by_side(self, baselines: np.ndarray) -> np.ndarray:
-        """Metrics of plants with ``baselines`` (m, 4) from the lanes, nan where they give up."""
+        """Metrics of plants with ``baselines`` (m, 4) computed in lanes; nan for those that need :meth:`alone`."""
         m, axis, nothing = len(baselines), self.axis, np.zeros(0)
         padded = np.concatenate([baselines, np.repeat(baselines[:1], -m % LANES, axis=0)])
         period, drive = axis.sampling.period, axis.drive
@@ -310,7 +310,7 @@ class Course:
         return result[:m]
 
     def alone(self, plant: Plant, baseline: np.ndarray, parameters: list[np.ndarray]) -> np.ndarray:
-        """Metrics of one plant; raises :class:`SimulationError` where its simulation cannot continue."""
+        """Metrics of one plant; raises :class:`SimulationError` if its simulation cannot continue."""
         run = plant.closed_loop(
             self.q_ref,
             baseline=baseline,
@@ -319,13 +319,13 @@ class Course:
             q0=self.q0,
             quantise=self.quantise,
         )
-        kept = slice(self.first, None)
+        compared = slice(self.first, None)
 
         def rms(difference: np.ndarray) -> float:
-            return float(np.sqrt(np.mean(difference[kept] ** 2)))
+            return float(np.sqrt(np.mean(difference[compared] ** 2)))
 
         gain = plant.axis.drive.gain
-        missed = rms(self.measured[0] - run.q) if self.measured else 0.0
+        position = rms(self.measured[0] - run.q) if self.measured else 0.0
         force = gain * rms(self.measured[1] - run.u) if self.measured else 0.0
-        rest = float(np.mean(run.v[kept] == 0.0))
-        return np.array([rms(self.q_ref - run.position), missed, force, float(np.abs(run.u).max()), rest])
+        rest = float(np.mean(run.v[compared] == 0.0))
+        return np.array([rms(self.q_ref - run.position), position, force, float(np.abs(run.u).max()), rest])

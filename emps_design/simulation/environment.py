@@ -68,11 +68,11 @@ WALL = Effect(
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand on the carriage: ``mass`` [kg] moves with it, ``damping`` [N/(m/s)] and ``stiffness`` [N/m] pull it along.
+    """A hand on the carriage: ``mass`` [kg] moves with it; ``damping`` [N/(m/s)] and ``stiffness`` [N/m] couple to it.
 
     Its intended motion is the argument ``intention`` (n,) [m] of a simulation, linear between the samples; nan means
-    that the hand has let go. ``held``: its force is constant over a period, as the drive's voltage is; then the hand
-    has no mass of its own.
+    that the hand has released the carriage. ``held``: its force is constant over a period, like the voltage of the
+    drive; such a hand has no mass.
 
     >>> Hand(mass=1.0, damping=20.0, stiffness=500.0).stiffness
     500.0
@@ -90,8 +90,8 @@ class Hand:
 
     def effect(self) -> tuple[Effect, np.ndarray]:
         """The hand as an effect with its parameters; :class:`InputError` for a number out of its bounds."""
-        own = {"mass": self.mass, "damping": self.damping, "stiffness": self.stiffness}
-        return HAND, HAND.values({**own, "intended_position": 0.0, "intended_velocity": 0.0, "since": 0.0})
+        parameters = {"mass": self.mass, "damping": self.damping, "stiffness": self.stiffness}
+        return HAND, HAND.values({**parameters, "intended_position": 0.0, "intended_velocity": 0.0, "since": 0.0})
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
-"""The plant: an axis with its effects, resolved once and simulated any number of times.
+"""The plant: an axis with its effects, prepared once and simulated any number of times.
 
-It prepares what the steppers take: the compiled kernels of the effects' hooks, the method of solution that they permit,
-checked signals, and the settings of a run.
+It prepares the inputs of the steppers: the compiled kernels of the effects' hooks, the solution method that these
+permit, checked signals, and the settings of a run.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from emps_design.simulation.run import ClosedLoopRun, OpenLoopRun, Run, intentio
 
 # In the order of the rows of the table of hooks.
 HOOKS = ("force", "dry", "inertia", "command", "actuator", "delay", "sensor", "rate", "guard", "jump_time")
-# Hooks that the stepper takes as one number if they are constant during a run, and the place of that setting.
+# Hooks that are one number for the stepper if they are constant during a run, and the place of that setting.
 SUMMED = {"dry": motion.LEVEL, "inertia": motion.MASS}
 _MOTION, _STATE, _COMMAND = range(5), (0, 1, 3, 4), range(3, 4)  # of a kernel's arguments q, v, t, tau, x, p, b
 
-# Absolute tolerance of the effects' own states by unit, for states close to zero.
+# Absolute tolerance of the states of the effects by unit, for states close to zero.
 FLOORS = {"m": 1e-6, "m/s": 1e-4, "N": 1e-2}
-METHODS = ("general", "linear", "plain", "folded")  # of stepping; each one before the fastest exact one is exact too
-_ASUNDER = 1e-7  # least relative difference of two lags
+METHODS = ("general", "linear", "plain", "folded")  # of stepping; those before the fastest exact one are exact too
+_LEAST_DIFFERENCE = 1e-7  # least relative difference of two lags
 _EMPTY = np.zeros(0)
 _NO_SIGNALS, _NO_MOTOR, _NO_SLOTS = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros(0, np.int64)
 
@@ -43,7 +43,8 @@ _NO_SIGNALS, _NO_MOTOR, _NO_SLOTS = np.zeros((0, 0)), np.zeros((0, 2)), np.zeros
 def summed_of(effect: Effect, touching: bool) -> Iterator[tuple[int, Kernel]]:
     """Yield the place in the settings and the kernel of each hook of ``effect`` that is constant during a run.
 
-    Such a kernel reads parameters and baseline alone; the parameters of an effect ``touching`` the carriage may change.
+    Such a kernel depends only on parameters and baseline; the parameters of an effect ``touching`` the carriage may
+    change during a run.
     """
     for hook, place in SUMMED.items():
         kernel = getattr(effect, hook)
@@ -76,48 +77,48 @@ def hooks_of(effect: Effect, touching: bool, held: bool) -> Iterator[tuple[int, 
 
 
 def touches_motion(effect: Effect) -> bool:
-    """Whether ``effect`` acts between motor force and motion, not only on the signals around them."""
+    """Whether ``effect`` acts between motor force and motion, not only on the signals."""
     return any((effect.force, effect.dry, effect.inertia, effect.rate, effect.solver.guard, effect.solver.jump_time))
 
 
 def sees_command(effect: Effect) -> bool:
-    """Whether a force of ``effect`` reads the motor force, or a mass that may change, so that it jumps with it."""
+    """Whether a force of ``effect`` depends on the motor force, or it changes the mass, so that it jumps with it."""
     return effect.inertia is not None or reads_command(effect)
 
 
 def reads_command(effect: Effect) -> bool:
-    """Whether a force of ``effect`` reads the motor force."""
+    """Whether a force of ``effect`` depends on the motor force."""
     return any(_reads(kernel, _COMMAND) for kernel in (effect.force, effect.dry) if kernel is not None)
 
 
 def is_smooth(effect: Effect) -> bool:
     """Whether ``effect`` is smooth between jumps in time: no states, no guards, a mass independent of the motion."""
-    weighs = effect.inertia is not None and _reads(effect.inertia, _STATE)
-    return not (effect.states or effect.solver.guard or weighs)
+    mass_varies = effect.inertia is not None and _reads(effect.inertia, _STATE)
+    return not (effect.states or effect.solver.guard or mass_varies)
 
 
 def how_solved(stepped: Sequence[Effect], lags: int) -> int:
     """Return how hold periods with the effects ``stepped`` are solved, with ``lags`` lags of the motor force.
 
-    0: not in closed form; 1: in closed form with all effects; 2: smooth effects are added to the closed form; 3: and
-    some of these read the command. At most one effect may be affine in pieces.
+    0: not in closed form; 1: in closed form with all effects; 2: smooth effects are added to the closed form; 3: some
+    of these depend on the command. At most one effect may be piecewise affine.
     """
     solved, others = (
         [effect for effect in stepped if effect.solver.affine],
         [effect for effect in stepped if not effect.solver.affine],
     )
     pieces = sum(1 for effect in solved if effect.solver.guard)
-    rubs = any(effect.takes_dry for effect in stepped)
-    if not solved or pieces > 1 or lags > 1 or rubs or not all(map(is_smooth, others)):
+    presliding = any(effect.takes_dry for effect in stepped)
+    if not solved or pieces > 1 or lags > 1 or presliding or not all(map(is_smooth, others)):
         return 0
     if any(map(reads_command, others)):
-        return 3 if lags == 0 else 0  # behind a lag the force they read is no parabola of time
+        return 3 if lags == 0 else 0  # after a lag the motor force is not a parabola of time
     return 2 if others else 1
 
 
 @cache
 def _reads(kernel: Kernel, which: Sequence[int]) -> bool:
-    """Whether ``kernel`` reads one of its arguments at the positions ``which``, whatever their names."""
+    """Whether ``kernel`` reads one of its arguments at the positions ``which``, regardless of their names."""
     names = [kernel.__code__.co_varnames[i] for i in which]
     read = [step.argval for step in dis.get_instructions(kernel)]
     return any(name in (arg if isinstance(arg, tuple) else (arg,)) for arg in read for name in names)
@@ -125,9 +126,9 @@ def _reads(kernel: Kernel, which: Sequence[int]) -> bool:
 
 @dataclass(frozen=True)
 class Prepared:
-    """Arguments of the general stepper other than the law, the signals and the arrays that it fills.
+    """Arguments of the general stepper, except the law, the signals and the output arrays.
 
-    ``baseline`` (4,), ``parameters``, ``settings``, ``y`` the state at first, the table of hooks with its ``starts``,
+    ``baseline`` (4,), ``parameters``, ``settings``, ``y`` the initial state, the table of hooks with its ``starts``,
     ``columns`` that are written to ``slots`` of the parameters at every sample, ``floors`` and ``scratch``.
     """
 
@@ -145,10 +146,10 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a run is made of, checked: the numbers of the plant, the state at first, the signals, and the settings.
+    """The checked inputs of a run: parameters of the plant, initial state, signals, and settings.
 
-    ``baseline`` (4,), ``parameters`` end to end; ``resolution`` [m] of the encoder; without a ``law``, ``reference``
-    (n,) are the commands; ``motor`` as :func:`motor_rows` says. Empty signals are zero.
+    ``baseline`` (4,); ``parameters`` in one vector; ``resolution`` [m] of the encoder; without a ``law``, ``reference``
+    (n,) are the commands; ``motor`` as returned by :func:`motor_rows`. Empty signals are zero.
     """
 
     baseline: np.ndarray
@@ -185,15 +186,15 @@ class Plant:
         self.axis = axis
         self.baseline = axis.mechanics.array()
         self.environment = environment
-        both = [*effects, *(thing.effect() for thing in environment)]
-        self.effects = tuple(effect for effect, _ in both)
-        self.parameters = tuple(values for _, values in both)
-        own = len(effects)
-        self._outside = range(own, len(both))
-        hands = {own + i: thing for i, thing in enumerate(environment) if isinstance(thing, Hand)}
+        entries = [*effects, *(contact.effect() for contact in environment)]
+        self.effects = tuple(effect for effect, _ in entries)
+        self.parameters = tuple(values for _, values in entries)
+        count = len(effects)
+        self._outside = range(count, len(entries))
+        hands = {count + i: contact for i, contact in enumerate(environment) if isinstance(contact, Hand)}
         self._hands, self._held = list(hands), [i for i, hand in hands.items() if hand.held]
         self._lag = axis.drive.current_time_constant
-        # A lag of the motor force needs no state: up to two lags, with the current loop's, have a closed form.
+        # A lag of the motor force needs no state: up to two lags, the current loop included, have a closed form.
         lags = [i for i, effect in enumerate(self.effects) if effect.solver.lag]
         self.lagging = lags[: 1 if self._lag > 0 else 2]
         twice = len(self.lagging) + (self._lag > 0) > 1
@@ -217,18 +218,18 @@ class Plant:
         reads_force = any(sees_command(effect) for i, effect in enumerate(self.effects) if i not in self.lagging)
         self._solved = 0 if environment else how_solved(stepped, len(self.lagging) + (self._lag > 0))
         dynamic |= twice and (reads_force or any(effect.states for effect in moving))  # slides are solved for one lag
-        # A contact whose friction jumps with every command deflects at once: it needs the stepper.
+        # Presliding friction that jumps with every command deflects immediately: it needs the stepper.
         self._slides = 0 if dynamic or (reads_force and self._free) else 1 if reads_force else 2
 
     @classmethod
     def of(cls, axis: Axis) -> Plant:
-        """Resolve an axis and its effects; kernels are compiled once."""
+        """The plant of ``axis`` with its effects; kernels are compiled once."""
         return cls(axis, [(entry.effect, entry.effect.values(entry.parameters)) for entry in axis.effects])
 
     def touched_by(self, *things: Hand | Wall) -> Plant:
         """Return this plant with a hand, walls, or both at the carriage."""
-        own = len(self.effects) - len(self.environment)
-        effects = list(zip(self.effects[:own], self.parameters[:own], strict=True))
+        count = len(self.effects) - len(self.environment)
+        effects = list(zip(self.effects[:count], self.parameters[:count], strict=True))
         return Plant(self.axis, effects, (*self.environment, *things))
 
     def _table(self) -> tuple[np.ndarray, np.ndarray]:
@@ -247,21 +248,21 @@ class Plant:
         Raises :class:`SimulationError` with time, state and effect if the simulation cannot continue.
         """
         period = self._period(request)
-        own = self.axis.units.unit
-        q_ref = signal(request.q_ref, "q_ref", own("m"))
+        unit = self.axis.units.unit
+        q_ref = signal(request.q_ref, "q_ref", unit("m"))
         law = request.law or law_of(self.axis, period)
         if request.reference is None:
             reference = law.reference(q_ref, period)
         else:
-            reference = signal(request.reference, "reference", f"{own('m')} or {own('m/s')}", q_ref.size)
+            reference = signal(request.reference, "reference", f"{unit('m')} or {unit('m/s')}", q_ref.size)
         noise = request.voltage_noise
-        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", own("V"), q_ref.size)
+        noise = _EMPTY if noise is None else signal(noise, "voltage_noise", unit("V"), q_ref.size)
         q0 = float(q_ref[0]) if request.q0 is None else float(request.q0)
         return self._simulate(self._inputs(request, law, reference, q0, noise), request.method, q_ref)
 
     @takes(OpenLoopRun)
     def open_loop(self, request: OpenLoopRun) -> Run:
-        """Simulate the axis under the voltage ``u`` and return the :class:`Run`, whose ``q_ref`` is not a number.
+        """Simulate the axis under the voltage ``u`` and return the :class:`Run`, whose ``q_ref`` is nan.
 
         The voltage limit applies; ``command`` effects add to ``u``.
         """
@@ -275,7 +276,7 @@ class Plant:
     def _inputs(
         self, request: ClosedLoopRun | OpenLoopRun, law: Law | None, reference: np.ndarray, q0: float, noise: np.ndarray
     ) -> Inputs:
-        """The inputs of the run that ``request`` describes, checked."""
+        """The checked inputs of the run of ``request``."""
         b, p = self.numbers(request.baseline, request.parameters)
         hands, n, push, units = len(self._hands), reference.size, request.disturbance, self.axis.units
         if hands > 1 or (request.intention is not None and not hands):
@@ -335,7 +336,7 @@ class Plant:
         )
 
     def numbers(self, baseline: Any = None, parameters: Any = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``baseline`` (4,) and ``parameters``, end to end, checked; by default the axis's own."""
+        """Return ``baseline`` (4,) and ``parameters`` in one vector, checked; by default those of the axis."""
         b = self.baseline if baseline is None else np.array(baseline, dtype=float)
         p = self._p.copy() if parameters is None else np.concatenate([_EMPTY, *parameters])
         if b.shape != (4,) or not np.isfinite(b).all() or b[0] <= 0 or b[1] < 0 or b[2] < 0:
@@ -348,7 +349,7 @@ class Plant:
         return b, p
 
     def _method(self, inputs: Inputs) -> str:
-        """The fastest way that is exact for this axis."""
+        """The fastest stepping method that is exact for this axis."""
         delay, law = self.axis.sampling.computation_delay, inputs.law
         if self.effects or self._lag > 0 or law is None or not law.state_feedback:
             return "linear" if self._solved == 1 and self._pieces(inputs.parameters) else "general"
@@ -366,7 +367,7 @@ class Plant:
         return pieces
 
     def _core(self, inputs: Inputs, method: str, events: np.ndarray, tally: np.ndarray) -> Iterable[np.ndarray]:
-        """Run the exact core, which takes no effects."""
+        """Run the exact core, which is without effects."""
         assert inputs.law is not None
         n, drive, delay = inputs.samples, self.axis.drive, self.axis.sampling.computation_delay
         reference, push, period, start = inputs.reference, inputs.push, inputs.period, (inputs.q0, inputs.v0)
@@ -390,7 +391,7 @@ class Plant:
         return encoder, position, velocity, u, push if push.size else np.broadcast_to(0.0, n)
 
     def prepared(self, inputs: Inputs) -> Prepared:
-        """Return what the general stepper needs for a run with these ``inputs``."""
+        """Return the arguments of the general stepper for a run with these ``inputs``."""
         b, p, q0, v0 = inputs.baseline, inputs.parameters, inputs.q0, inputs.v0
         columns, slots = self._intended(inputs.intention, inputs.samples, inputs.period)
         drive, settings = self.axis.drive, np.zeros(motion.SETTINGS)
@@ -423,8 +424,8 @@ class Plant:
         y[0], y[1] = q0, v0
         for i, effect in enumerate(self.effects):
             if effect.initial is not None and i not in self.lagging:
-                own = p[self.parameters_at[i] : self.parameters_at[i + 1]]
-                y[self.states_at[i] : self.states_at[i + 1]] = effect.initial(q0, own, b)
+                values = p[self.parameters_at[i] : self.parameters_at[i + 1]]
+                y[self.states_at[i] : self.states_at[i + 1]] = effect.initial(q0, values, b)
         floors[2 : self._states] = self._floors
         guards = int(self._starts[motion.GUARD + 1] - self._starts[motion.GUARD])
         scratch = np.zeros(stepper.room(states, guards))
@@ -442,19 +443,19 @@ class Plant:
             ),
         ]
         first, second, *_ = *(lag for lag in lags if lag != 0.0), 0.0, 0.0
-        # Equal time constants have no partial fractions; a relative difference of 1e-7 changes nothing that matters.
-        return first, first * (1.0 + _ASUNDER) if abs(second - first) < _ASUNDER * first else second
+        # Equal time constants have no partial fractions; a relative difference of 1e-7 has no visible effect.
+        return first, first * (1.0 + _LEAST_DIFFERENCE) if abs(second - first) < _LEAST_DIFFERENCE * first else second
 
     def _general(
         self, inputs: Inputs, method: str, events: np.ndarray, tally: np.ndarray
     ) -> tuple[Iterable[np.ndarray], dict[str, float] | None]:
-        """Run the general stepper; the rows of the run, and its energy balance where requested."""
+        """Run the general stepper; returns the rows of the run, and its energy balance if requested."""
         ready, motor, law, n = self.prepared(inputs), inputs.motor, inputs.law, inputs.samples
         if self._solved == 1:
             ready.settings[motion.LINEAR] *= method == "linear"
         y, braking = ready.y, ready.settings[motion.BRAKING]
         motor[:, 1] += np.where(motor[:, 0] != 0.0, braking - self.axis.drive.braking, 0.0)
-        if np.any(motor[:, 1] != braking):  # what is solved or slid through is for one braking
+        if np.any(motor[:, 1] != braking):  # closed forms are for one constant braking
             ready.settings[[motion.SLIDES, motion.EXACT, motion.LINEAR]] = 0.0
         out = np.empty((5, n))
         place, gains, memory = 0, _NO_SIGNALS, _EMPTY
@@ -484,8 +485,8 @@ class Plant:
             mass = b[0]
             for i, effect in enumerate(self.effects):
                 if effect.inertia is not None:
-                    own = ready.parameters[self.parameters_at[i] : self.parameters_at[i + 1]]
-                    mass += effect.inertia(q, v, t, 0.0, y[self.states_at[i] : self.states_at[i + 1]], own, b)
+                    values = ready.parameters[self.parameters_at[i] : self.parameters_at[i + 1]]
+                    mass += effect.inertia(q, v, t, 0.0, y[self.states_at[i] : self.states_at[i + 1]], values, b)
             return 0.5 * mass * v * v
 
         motor, push, friction, effects = (float(work) for work in y[self._states :])
@@ -500,9 +501,9 @@ class Plant:
         return {**parts, "residual": sum(parts.values()) - 2.0 * parts["kinetic"]}
 
     def _intended(self, intention: np.ndarray | None, n: int, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """Columns that the hand's intention writes to its parameters at every sample, and their places."""
+        """Parameters (n, 6) of the hand at every sample for its ``intention``, and their places."""
         if intention is None:  # the hand holds position 0, the default of its parameters
             return _NO_SIGNALS, _NO_SLOTS
-        hand, wanted = self._hands[0], np.asarray(intention, dtype=float)
-        columns = intention_columns(wanted, self.parameters[hand], hand in self._held, n, period)
+        hand, positions = self._hands[0], np.asarray(intention, dtype=float)
+        columns = intention_columns(positions, self.parameters[hand], hand in self._held, n, period)
         return columns, self.parameters_at[hand] + np.arange(6)

@@ -1,7 +1,7 @@
-"""A run of a plant: what it takes, a reference or commands and the conditions, and its result.
+"""A run of a plant: its request (a reference or commands, and conditions) and its result.
 
-The result has signals with names and units, and events; it is saved and loaded without loss. :func:`driven_by` collects
-the inputs of a closed-loop run from a record.
+The result has signals with names and units, and events; it can be saved and loaded without loss. :func:`driven_by`
+takes the inputs of a closed-loop run from a record.
 """
 
 from __future__ import annotations
@@ -46,22 +46,22 @@ EVENTS = ("reversal", "stick", "break-away", "guard")
 
 @dataclass(frozen=True)
 class _Conditions(Request):
-    """What every run takes beside its reference or commands."""
+    """The inputs of every run, in addition to its reference or commands."""
 
     baseline: np.ndarray | None = option(None, "[mass, viscous, coulomb, offset] in place of the axis's")
     parameters: Sequence[np.ndarray] | None = option(None, "one array per effect in place of the axis's")
     disturbance: np.ndarray | None = option(None, "force (n,) [N] on the carriage, held over each period")
-    v0: float = option(0.0, "first velocity [m/s]")
+    v0: float = option(0.0, "initial velocity [m/s]")
     period: float | None = option(None, "sampling period [s], by default the axis's")
     quantise: bool = option(True, "whether the encoder has steps; otherwise it is exact")
     intention: np.ndarray | None = option(
-        None, "position (n,) [m] that a hand at the carriage aims at, nan after it has let go"
+        None, "intended position (n,) [m] of a hand at the carriage, nan after it has released it"
     )
     supply: np.ndarray | None = option(None, "supply (n,) [V] of a duty, by default the axis's")
     enable: np.ndarray | None = option(None, "(n,), 0 where the motor is switched off, its winding open")
     energy: bool = option(False, "whether the run has its energy balance")
     tolerance: float = option(1.0, "factor on the error tolerance of a step")
-    method: str = option("auto", "of stepping: auto, general, linear, plain or folded")
+    method: str = option("auto", "stepping method: auto, general, linear, plain or folded")
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ class _Commands(Request):
 
 @dataclass(frozen=True)
 class ClosedLoopRun(_Conditions, _Reference):
-    """What :meth:`Plant.closed_loop` takes."""
+    """The inputs of :meth:`Plant.closed_loop`."""
 
     voltage_noise: np.ndarray | None = option(None, "voltage (n,) [V] added after the controller")
-    q0: float | None = option(None, "first position [m], by default that of the reference")
+    q0: float | None = option(None, "initial position [m], by default that of the reference")
     law: Law | None = option(None, "law in place of the axis's controller")
     reference: np.ndarray | None = option(
         None,
@@ -89,17 +89,17 @@ class ClosedLoopRun(_Conditions, _Reference):
 
 @dataclass(frozen=True)
 class OpenLoopRun(_Conditions, _Commands):
-    """What :meth:`Plant.open_loop` takes."""
+    """The inputs of :meth:`Plant.open_loop`."""
 
-    q0: float = option(0.0, "first position [m]")
+    q0: float = option(0.0, "initial position [m]")
 
 
 def driven_by(axis: Axis, record: Record) -> dict[str, Any]:
     """Return the keywords of :meth:`Plant.closed_loop` that simulate ``record`` with its initial state and inputs.
 
-    They are the law of ``axis`` with the gains of the record; its reference, recorded too if it is a velocity; the
-    measured external force, the excitation of the controller's output, the supply of a duty, and the times at which
-    the motor was switched off. Without a controller there is no law among them.
+    These are the law of ``axis`` with the gains of the record; its reference, the recorded one if it is a velocity; the
+    measured external force, the excitation of the controller's output, the supply of a duty, and the samples with the
+    motor switched off. Without a controller there is no law.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.simulation.synthetic import synthetic_record
@@ -121,24 +121,24 @@ def driven_by(axis: Axis, record: Record) -> dict[str, Any]:
     return {**how, "law": law, "reference": law.followed(record)}
 
 
-def intention_columns(wanted: np.ndarray, hand: np.ndarray, held: bool, n: int, period: float) -> np.ndarray:
-    """Return the parameters (n, 6) of a ``hand`` that means to be at ``wanted`` (n,) [m], nan where it has let go.
+def intention_columns(intention: np.ndarray, hand: np.ndarray, held: bool, n: int, period: float) -> np.ndarray:
+    """Return the parameters (n, 6) of a ``hand`` with the ``intention`` (n,) [m], nan after the release.
 
-    Between samples the intention moves evenly; the force of a ``held`` hand is that of the sample itself.
+    Between samples the intention is linear; the force of a ``held`` hand is that at the sample.
     """
-    grips, speed = ~np.isnan(wanted), np.zeros(wanted.size)
-    if wanted.size > 1:
-        step = np.diff(wanted) / period
-        speed = np.gradient(wanted, period) if held else np.append(step, 0.0)
+    grips, speed = ~np.isnan(intention), np.zeros(intention.size)
+    if intention.size > 1:
+        step = np.diff(intention) / period
+        speed = np.gradient(intention, period) if held else np.append(step, 0.0)
         speed[1:] = np.where(np.isnan(speed[1:]), step, speed[1:])
-    place = signal(np.where(grips, wanted, 0.0), "intention", "m", n)
+    place = signal(np.where(grips, intention, 0.0), "intention", "m", n)
     return np.column_stack([grips[:, None] * hand[:3], place, np.nan_to_num(speed), np.arange(n) * period])
 
 
 def motor_rows(drive: Drive, supply: Any, enable: Any, n: int) -> np.ndarray:
-    """Gain [N/V] and braking [N/(m/s)] of a motor at each sample, (n, 2), or (0, 2) where they never change.
+    """Gain [N/V] and braking [N/(m/s)] of a motor at each sample, (n, 2), or (0, 2) if they are constant.
 
-    ``supply`` (n,) [V] of a duty, None: that of the ``drive``; ``enable`` (n,) 0 where it is off, None: nowhere.
+    ``supply`` (n,) [V] of a duty, None: that of the ``drive``; ``enable`` (n,) is 0 while it is off, None: always on.
     """
     supply = None if drive.command != "duty" or supply is None else signal(supply, "supply", "V", n)
     if supply is None and enable is None:
@@ -159,9 +159,9 @@ def signal(values: Any, name: str, unit: str, n: int | None = None) -> np.ndarra
     """Return ``values`` as an array (n,) of floats; raise :class:`InputError` unless they are ``n`` finite numbers."""
     row = np.ascontiguousarray(values, dtype=float)
     if row.ndim != 1 or row.size == 0 or (n is not None and row.size != n):
-        wanted = f"{n} numbers" if n else "a row of numbers"
-        raise InputError(f"{name}: found shape {row.shape}, expected {wanted} [{unit}]")
-    # A finite sum proves all finite, in one pass; otherwise find the first that is not (none if the sum overflowed).
+        expected = f"{n} numbers" if n else "a row of numbers"
+        raise InputError(f"{name}: found shape {row.shape}, expected {expected} [{unit}]")
+    # If the sum is finite, all numbers are, in one pass; otherwise find the first that is not (the sum may overflow).
     if not np.isfinite(row.sum()) and not np.isfinite(row).all():
         first = int(np.argmin(np.isfinite(row)))
         raise InputError(f"{name}: sample {first} is {row[first]}, expected finite numbers [{unit}]")
@@ -173,7 +173,7 @@ def commands_of(
 ) -> np.ndarray:
     """Return the commands (n,) of ``law`` for its ``reference``, the position ``q`` and the sensed force, from rest.
 
-    All are (n,), SI; the law's kernel runs compiled.
+    All are (n,), SI; the kernel of the law is compiled.
 
     >>> from emps_design.laws import law_of
     >>> from emps_design.machines import machine
@@ -200,12 +200,12 @@ def _along(law, reference, q, sensed, limit, gains, memory, out):  # type: ignor
 class Run(Viewed):
     """One simulated run, one row per sample.
 
-    ``q`` [m] is what the encoder reports (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
-    encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N] (``force_gain`` (n,) where the supply
-    changes, or the motor is switched off), ``f_ext`` [N] the external force that a sensor on the carriage reads.
-    ``events`` has a row (time [s], kind, position [m]) for every velocity zero, stick, break-away and guard;
-    ``lost_events`` counts those that did not fit. ``energy`` [J] is the balance if it was requested, ``excitation`` [V]
-    the signal added to the controller's output, if any. ``units`` are those of the axis.
+    ``q`` [m] is the output of the encoder (with its errors), ``position`` [m] and ``v`` [m/s] the true motion on the
+    encoder's side, ``u`` [V] the recorded voltage, ``force`` = G_tau u [N] (``force_gain`` (n,) if the supply changes
+    or the motor is switched off), ``f_ext`` [N] the external force measured by a sensor on the carriage. ``events`` has
+    a row (time [s], kind, position [m]) for every velocity zero, stick, break-away and guard; ``lost_events`` counts
+    those that did not fit. ``energy`` [J] is the balance if requested, ``excitation`` [V] the signal added to the
+    controller's output, if any. ``units`` are those of the axis.
     """
 
     q_ref: np.ndarray
@@ -225,7 +225,7 @@ class Run(Viewed):
 
     @classmethod
     def joined(cls, runs: Sequence[Run]) -> Run:
-        """Return ``runs`` of one axis as one run, one after the other, without the energy balance."""
+        """Return consecutive ``runs`` of one axis as one run, without the energy balance."""
         first, *others = runs
         if not others:
             return first
@@ -288,8 +288,8 @@ class Run(Viewed):
         )
 
     def save(self, path: str | Path) -> None:
-        """Write every signal to ``path`` (.npz, no pickles); :meth:`load` gives the same bits back."""
-        plain = {
+        """Write every signal to ``path`` (.npz, no pickles); :meth:`load` returns the same bits."""
+        description = {
             "period": self.period,
             "lost_events": self.lost_events,
             "energy": self.energy,
@@ -305,7 +305,7 @@ class Run(Viewed):
                 **{RECORD: np.asarray(1)},  # also a record, whose columns an axis file must not map
                 events=self.events,
                 force_gain=np.asarray(self.force_gain),
-                run=np.frombuffer(json.dumps(plain).encode(), dtype=np.uint8),
+                run=np.frombuffer(json.dumps(description).encode(), dtype=np.uint8),
             )
 
     def to_csv(self, path: str | Path, *, mapped: bool = False) -> None:
@@ -322,23 +322,23 @@ class Run(Viewed):
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
-        """Read a run that :meth:`save` wrote; raises :class:`RecordError` for anything else."""
+        """Read a run written by :meth:`save`; raises :class:`RecordError` for any other file."""
         import zipfile
 
         try:
             with np.load(path, allow_pickle=False) as archive:
                 optional = [name for name in OPTIONAL if name in archive]
                 signals = {name: archive[name] for name in (*STORED, "events", "force_gain", *optional)}
-                plain = json.loads(archive["run"].tobytes())
-                units = Units(**plain.pop("units", {}))
+                description = json.loads(archive["run"].tobytes())
+                units = Units(**description.pop("units", {}))
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, TypeError) as error:
             reason = " ".join(str(error).split())
             raise RecordError(f"{path}: not a simulated run ({reason}); expected an .npz of Run.save") from error
         gain = signals.pop("force_gain")
-        return cls(**signals, **plain, units=units, force_gain=gain if gain.ndim else float(gain))
+        return cls(**signals, **description, units=units, force_gain=gain if gain.ndim else float(gain))
 
     def to_dict(self) -> dict[str, Any]:
-        """Length, events and energy as plain data; the signals stay in :meth:`save`."""
+        """Length, events and energy as plain data; signals are written by :meth:`save` only."""
         words, unit = self.units.words, self.units.unit
         described = {name: DESCRIBED[name] for name in self.signals}
         return {
@@ -366,7 +366,7 @@ class Run(Viewed):
         return (Table(("", "value", "unit"), rows, self.name),)
 
     def figure(self) -> Grid:
-        """Position, velocity and motor force over time as data, the time at rest in grey."""
+        """Position, velocity and motor force over time as data; intervals at rest are grey."""
         rest = tuple(Band("x", begin, end, PALE_GREY) for begin, end in self.stick_intervals)
         forces = [Curve(*thin(self.t, self.force), "motor force", BLUE, width=1.0)]
         if np.any(self.f_ext):

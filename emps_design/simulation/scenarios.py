@@ -31,18 +31,18 @@ from emps_design.units import Units
 from emps_design.view import Cell, Line, Table, View, Viewed
 
 STEP = math.sqrt(2.0)  # factor from one trial value of a controller parameter to the next
-STEPS = 12  # in each direction; further away a loop runs because it hardly moves
+STEPS = 12  # in each direction; beyond that a loop runs only because it hardly moves
 
 ERRORS = {"position": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}  # units of the errors of a replay
 ABSOLUTE = ("position", "velocity", "force")  # signals whose mean absolute error is given
-DROPPED = 50  # samples left out of the relative errors, as in the report of the data set, and behind each gap
+DROPPED = 50  # samples excluded from the relative errors, as in the report of the data set, and after each gap
 SPAN = 8  # samples over which the velocity after a gap is averaged
 NEIGHBOURS = 2  # samples on each side that enter an acceleration
 
-MOVED = 1e-3  # m of travel that count as break-away if friction is an elastic contact, which moves from the start
-COARSE = 0.01  # rise of the push per sample, as a share of the break-away force, above which a warning says so
+MOVED = 1e-3  # m of travel that count as break-away if friction is an elastic contact, which always moves
+COARSE = 0.01  # rise of the push per sample, as a share of the break-away force, above which there is a warning
 
-# Keys of a document that have no line: they are in the title, said elsewhere, or for the JSON alone.
+# Keys of a document without a line: they are in the title, shown elsewhere, or for the JSON only.
 NO_LINE = (
     "run",
     "study",
@@ -60,32 +60,32 @@ NO_LINE = (
 
 
 def unstable(axis: Axis, error: SimulationError, simulate: Callable[[Axis], Any]) -> UnstableError:
-    """Return the error for a closed loop of ``axis`` that diverges, with the reason and the nearest that runs.
+    """Return the error for a closed loop of ``axis`` that diverges, with the reason and the nearest stable controller.
 
     ``simulate(axis)`` runs the same loop on another axis and raises :class:`SimulationError` if it diverges.
     """
     nearest = nearest_controller(axis, simulate)
     if not nearest:
-        return UnstableError(f"{error}; no other number of the controller alone makes it run")
+        return UnstableError(f"{error}; changing a single controller parameter does not make it stable")
     name, value = next(iter(nearest.items()))
-    own = dict(_numbers(axis))[name]
-    return UnstableError(f"{error}; nearest that works: {name} = {value:g} instead of {own:g}", nearest)
+    present = dict(_numbers(axis))[name]
+    return UnstableError(f"{error}; nearest that works: {name} = {value:g} instead of {present:g}", nearest)
 
 
 def nearest_controller(axis: Axis, simulate: Callable[[Axis], Any]) -> dict[str, float]:
     """Return one controller parameter of ``axis``, as {name: value}, with which ``simulate(axis)`` runs; or {}.
 
-    Each parameter is varied alone, by factors of sqrt(2) up and down. The proposal is the one with the factor nearest
-    to 1 among those whose last two steps both run.
+    Each parameter is varied alone, by factors of sqrt(2) up and down. The proposal is the factor nearest to 1 of which
+    the next step runs as well.
     """
     candidates: list[tuple[int, str, float]] = []
-    for name, own in _numbers(axis):
+    for name, present in _numbers(axis):
         for side in (-1, 1):
             before = False
             for count in range(1, STEPS + 1):
                 if candidates and count >= min(candidates)[0]:
                     break
-                value = float(f"{own * STEP ** (side * count):.3g}")
+                value = float(f"{present * STEP ** (side * count):.3g}")
                 runs = _runs(axis, name, value, simulate)
                 if runs and before:
                     candidates.append((count, name, value))
@@ -98,7 +98,7 @@ def nearest_controller(axis: Axis, simulate: Callable[[Axis], Any]) -> dict[str,
 
 
 def _numbers(axis: Axis) -> list[tuple[str, float]]:
-    """The numbers of the controller of ``axis`` by name, ``velocity.kp`` of an inner table; zeros and counts aside."""
+    """The parameters of the controller of ``axis`` by name, such as ``velocity.kp``, without zeros and counts."""
     values = leaves(axis.to_dict()["controller"])
     return [(".".join(path), value) for path, value in values if isinstance(value, float) and value != 0.0]
 
@@ -120,9 +120,9 @@ def _runs(axis: Axis, name: str, value: float, simulate: Callable[[Axis], Any]) 
 def relative_error_percent(
     measured: np.ndarray, simulated: np.ndarray, part: slice | np.ndarray = slice(DROPPED, None)
 ) -> float:
-    """100 |measured - simulated| / |measured|, Euclidean norms over a ``part``; NaN where undefined.
+    """100 |measured - simulated| / |measured|, Euclidean norms over a ``part``; NaN if undefined.
 
-    Without the first 50 samples by default.
+    By default the first 50 samples are excluded.
 
     >>> relative_error_percent(np.full(60, 2.0), np.full(60, 1.9))
     5.000000000000004
@@ -136,9 +136,9 @@ def relative_error_percent(
 class Replay(Viewed):
     """A record and the simulation of its axis from the reference alone (or from ``u``, without a controller).
 
-    ``relative_error_percent`` has position, velocity, acceleration (central differences of the positions) and force
-    (of the voltage that reaches the drive, so a computation delay shifts the simulated one). ``mean_absolute_error`` is
-    over all samples [SI]. Samples in a gap of the record do not count, nor the first ones after it.
+    ``relative_error_percent`` has position, velocity, acceleration (central differences of the positions) and force (of
+    the voltage at the drive, so a computation delay shifts the simulated one). ``mean_absolute_error`` [SI] is over all
+    samples. Samples in a gap of the record, and the first ones after it, are excluded.
     """
 
     axis: Axis
@@ -169,7 +169,7 @@ class Replay(Viewed):
         }
 
     def view(self) -> View:
-        """How far simulation and record are apart in every signal."""
+        """The errors of the simulation in every signal."""
         loop = "closed loop" if self.closed_loop else "open loop"
         effects = ", ".join(effect.kind for effect in self.axis.effects)
         how = f"{loop}, {len(self.record)} samples{f', with {effects}' if effects else ''}"
@@ -188,7 +188,7 @@ class Replay(Viewed):
 
 
 def _digits(value: float | None, factor: float) -> str | None:
-    """``value`` times ``factor`` with six digits; None where it is undefined."""
+    """``value`` times ``factor`` with six digits; None if it is undefined."""
     return None if value is None or not math.isfinite(value) else f"{factor * value:.6g}"
 
 
@@ -197,10 +197,11 @@ def replay(axis: Axis, record: Record, quantise: bool = True) -> Replay:
     """Simulate ``axis`` along ``record`` and compare.
 
     With a controller the loop is closed on ``record.q_ref``; without one the recorded voltage drives the plant. The
-    carriage starts at rest at the record's first position. After a gap of the record a controller brings the carriage
-    back; without one the simulation restarts at the measured position and velocity. Raises :class:`InputError` if the
-    record is too short or its period is not the axis's, :class:`UnstableError` if the closed loop diverges, with the
-    nearest controller that does not, and :class:`SimulationError` if a simulation in open loop cannot continue.
+    carriage starts at rest at the first position of the record. After a gap of the record a controller brings the
+    carriage back; without one the simulation restarts at the measured position and velocity. Raises
+    :class:`InputError` if the record is too short or its period differs from the axis, :class:`UnstableError` if the
+    closed loop diverges, with the nearest stable controller, and :class:`SimulationError` if a simulation in open loop
+    cannot continue.
     """
     settled, there = _compared(record)
     if len(record) <= DROPPED + 2 or not settled.any():
@@ -262,7 +263,7 @@ def _open_loop(axis: Axis, record: Record, quantise: bool) -> Run:
 
 
 def _compared(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Masks (n,) of the samples that count in relative errors, and of all recorded samples."""
+    """Masks (n,) of the samples in relative errors, and of all recorded samples."""
     settled, n = np.zeros(len(record), bool), len(record)
     for start, stop in record.pieces:
         settled[start + DROPPED : stop if stop == n else max(start, stop - NEIGHBOURS)] = True
@@ -271,10 +272,10 @@ def _compared(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Breakaway(Viewed):
-    """Break-away forces of a carriage at rest under a slowly rising force [N]; None if it held up to the peak.
+    """Break-away forces of a carriage at rest under a slowly rising force [N]; None if it did not move up to the peak.
 
-    Friction at rest is half the difference of ``forward`` and ``backward``, the constant force half their sum (with its
-    sign on the left-hand side of the axis's equation).
+    Friction at rest is half the difference of ``forward`` and ``backward``, the constant force half their sum (with the
+    sign of the left-hand side of the axis equation).
     """
 
     axis: Axis
@@ -323,7 +324,7 @@ def force_ramp(period: float, rate: float, peak: float, units: Units = PLAIN) ->
         raise InputError(
             f"rate: found {units.quantity(rate, 'N/s', 'g')}, so that a rise to {units.quantity(abs(peak), 'N', 'g')} "
             f"takes {n * period:.4g} s; expected at most {LONGEST * period:.4g} s ({LONGEST} samples): "
-            "raise it faster, or not as far"
+            "use a higher rate or a lower peak"
         )
     return np.sign(peak) * np.minimum(np.arange(n) * rate * period, abs(peak))
 
@@ -331,9 +332,10 @@ def force_ramp(period: float, rate: float, peak: float, units: Units = PLAIN) ->
 def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: float = 0.0) -> Breakaway:
     """Raise an external force slowly, forward and backward, until the carriage breaks away; the motor is off.
 
-    ``rate`` [N/s]; ``peak`` [N], by default three times the baseline's friction and constant force, plus 20 N. With
-    set-valued friction the break-away is the one after which the carriage does not stop again; with an elastic contact
-    the force is that at which it has moved 1 mm. If it has not when the push ends, a warning gives its travel.
+    ``rate`` [N/s]; ``peak`` [N], by default three times friction plus constant force of the baseline, plus 20 N. With
+    set-valued friction, break-away is the last start of motion after which the carriage does not stop again; with an
+    elastic contact it is the force at which the carriage has moved 1 mm. If it has not at the end of the push, a
+    warning gives its travel.
 
     >>> from emps_design.machines import machine
     >>> forces = breakaway(machine("emps2018"), rate=20.0).to_dict()
@@ -360,50 +362,50 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
     step = rate * axis.sampling.period
     if any(limit is not None and abs(limit) <= step for limit in limits):
         text = (
-            f"the {units.word('carriage')} leaves without a push: the {units.word('force')} on it at rest exceeds its "
+            f"the {units.word('carriage')} moves without a push: the {units.word('force')} on it at rest exceeds its "
             "friction"
         )
         return Breakaway(axis, rate, peak, None, None, runs[0], (warning("leaves-without-push", text),))
     if any(limit is not None and step > COARSE * abs(limit) for limit in limits):
         text = (
-            f"the push rises by {units.quantity(step, 'N', '.3g')} from sample to sample, the {units.word('force')} is "
-            "as coarse; lower `rate`"
+            f"the push rises by {units.quantity(step, 'N', '.3g')} per sample, the resolution of the break-away "
+            f"{units.word('force')}; lower `rate`"
         )
         warnings.append(warning("coarse-push", text, step=step))
     return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
 
 
 def _break_away_sample(run: Run, moved: np.ndarray) -> int | None:
-    """Return the sample at which a carriage that ``moved`` (n,) [m] along the push broke away; None if it held."""
+    """Return the sample of break-away of a carriage that ``moved`` (n,) [m] along the push; None if there is none."""
     away = np.flatnonzero(moved > MOVED)
     until = run.t[away[0]] if away.size else np.inf
     events = [(time, EVENTS[int(kind)]) for time, kind, _ in run.events if time <= until]
     events = [event for event in events if event[1] in ("reversal", "stick", "break-away")]
     starts = [time for time, kind in events if kind == "break-away"]
-    if starts and (away.size or events[-1][1] == "break-away"):  # still on its way where the push ended before 1 mm
+    if starts and (away.size or events[-1][1] == "break-away"):  # or still moving at the end of the push, below 1 mm
         return round(starts[-1] / run.period)
     return int(away[0]) if away.size else None
 
 
 def _no_break_away(most: float, peak: float, units: Units) -> Message:
-    """Return a message that the carriage did not break away up to ``peak`` [N] and moved at ``most`` [m]."""
+    """Return a message that the carriage did not break away up to ``peak`` [N] and moved ``most`` [m] at most."""
     carriage, until = units.word("carriage"), units.quantity(peak, "N", "g")
     if most <= 0.0:
-        return warning("held", f"the {carriage} held to {until}; raise `peak`", peak=peak)
+        return warning("held", f"the {carriage} did not move up to {until}; raise `peak`", peak=peak)
     text = (
-        f"the {carriage} moved {units.quantity(most, 'mm', '.3g')} until {until}, and leaves with "
+        f"the {carriage} moved {units.quantity(most, 'mm', '.3g')} up to {until}, and break-away needs "
         f"{units.quantity(MOVED, 'mm', '.2g')}; raise `peak` or lower `rate`"
     )
     return warning("hardly-moved", text, peak=peak, most=most)
 
 
-HELD = "is unstable; only limits hold it"
-FOLLOWED = {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"}  # units of what is followed
+LIMITED = "is unstable; only limits bound it"
+FOLLOWED = {"tracking_error": "m", "velocity": "m/s", "voltage": "V", "force": "N"}  # units in a document
 
 
 @dataclass(frozen=True)
 class Followed(Viewed):
-    """A run in closed loop along a user's reference."""
+    """A closed-loop run along a reference of the user."""
 
     axis: Axis
     run: Run
@@ -429,7 +431,7 @@ class Followed(Viewed):
             "units": {name: self.axis.units.unit(base) for name, base in FOLLOWED.items()},
             "run": run.to_dict(),
             "warnings": list(self.warnings),
-            **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst, self.axis.units)} {HELD}"}),
+            **({} if worst.margins.stable else {"reason": f"the {loop_in_words(worst, self.axis.units)} {LIMITED}"}),
         }
 
     def view(self) -> View:
@@ -444,7 +446,7 @@ def follow(
 
     ``excitation`` (n,) [V] is added to the controller's output.
 
-    Raises :class:`UnstableError` if the loop diverges, with the nearest controller that does not.
+    Raises :class:`UnstableError` if the loop diverges, with the nearest stable controller.
     """
     how = {"q_ref": q_ref, "disturbance": f_ext, "voltage_noise": excitation}
     run = replace(_closed_loop(axis, lambda axis: how), excitation=excitation)
@@ -466,7 +468,7 @@ def _closed_loop(axis: Axis, driven: Callable[[Axis], dict[str, Any]]) -> Run:
 
 
 def scenario_view(document: dict[str, Any], units: Units) -> View:
-    """The headline of the ``document`` of a scenario, where it has one, and a table of its numbers.
+    """The headline of the ``document`` of a scenario, if it has one, and a table of its numbers.
 
     >>> breakaway = {"scenario": "breakaway", "axis": "joint", "forward": 0.0123, "units": {"forward": "N m"}}
     >>> scenario_view(breakaway, Units("rotary"))[0].rows

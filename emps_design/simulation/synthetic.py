@@ -1,11 +1,11 @@
-"""References, made or read from a file, and synthetic records: an axis along one, with noise like a measured record's.
+"""References, generated or read from a file, and synthetic records: simulations with the noise of a measured record.
 
-References are positions (n,) [m] sampled at the drive's period; numbers out of range raise :class:`InputError`. A file
-of one, .csv or .npz, has ``t`` [s], ``q_ref`` [m], optional ``f_ext`` [N] and ``excitation`` [V].
+References are positions (n,) [m] sampled at the period of the drive; numbers out of range raise :class:`InputError`. A
+file with a reference, .csv or .npz, has ``t`` [s], ``q_ref`` [m], optional ``f_ext`` [N] and ``excitation`` [V].
 
 A synthetic record has laps of trapezoidal velocity, two strokes at each of three speeds, like those of the EMPS data
-set; 4 mV of voltage noise and 0.35 N rms of force noise below 40 Hz, as DATA_EMPS shows from lap to lap, scaled for an
-axis that is much weaker or stronger.
+set. It has 4 mV of voltage noise and 0.35 N rms of force noise below 40 Hz, as between the laps of DATA_EMPS, scaled
+for an axis that is much weaker or stronger.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ MAX_BYTES = 100_000_000  # of a file
 def trapezoid_laps(
     period: float, stroke: float = 0.24, speed: float = 0.2, acceleration: float = 1.0, laps: int = 3
 ) -> np.ndarray:
-    """Return a position reference (n,) [m] of equal laps, each forth and back at three speeds.
+    """Return a position reference (n,) [m] of equal laps, each back and forth at three speeds.
 
     ``period`` [s], ``stroke`` [m], highest ``speed`` [m/s], ``acceleration`` [m/s^2].
 
@@ -52,7 +52,7 @@ def trapezoid_laps(
     """
     check_positive(period=period, stroke=stroke, speed=speed, acceleration=acceleration, laps=laps)
     if period < SHORTEST_PERIOD:
-        raise InputError(f"period: found {period:g} s, expected at least {SHORTEST_PERIOD:g} s, or a record has no end")
+        raise InputError(f"period: found {period:g} s, expected at least {SHORTEST_PERIOD:g} s")
     pause = 0.1
     lap = [there_and_back(period, stroke, share * speed, acceleration, pause) for share in SPEEDS]
     return np.tile(np.concatenate([np.zeros(round(pause / period)), *lap]), int(laps))
@@ -100,10 +100,10 @@ def point_to_point(period: float, stroke: float, speed: float, acceleration: flo
 def half_ramp_program(
     period: float, speeds: tuple[float, ...] = (0.2, 0.1, 0.05), segment: float = 0.5, laps: int = 1
 ) -> np.ndarray:
-    """Position [m] whose velocity varies linearly half the time and is constant the other half, section III-A.
+    """Position [m] with linearly varying velocity half of the time and constant velocity the other half, section III-A.
 
-    For each of ``speeds`` [m/s]: ramp, constant, ramp, forth and back, each ``segment`` seconds of constant velocity
-    between two ramps of half that; it ends where it began.
+    For each of ``speeds`` [m/s], back and forth: ``segment`` seconds of constant velocity between two ramps of half
+    that duration. It ends at its first position.
 
     >>> q = half_ramp_program(1e-3)
     >>> v = np.diff(q) / 1e-3
@@ -128,7 +128,7 @@ def multi_sine(
 ) -> np.ndarray:
     """Position [m]: sines of equal velocity at ``frequencies`` [Hz], phases from ``seed``, peak ``amplitude`` [m].
 
-    It fades in over the first half second, so that it starts at rest at 0.
+    The amplitude rises over the first half second, so that it starts at rest at 0.
 
     >>> q = multi_sine(1e-3, duration=4.0)
     >>> abs(float(q[0])), round(float(np.abs(q).max()), 6)
@@ -238,8 +238,8 @@ def synthetic_record(
         )
     q_ref = trapezoid_laps(period, stroke, speed, laps=laps) if q_ref is None else q_ref
     random, plant = np.random.default_rng(seed), Plant.of(axis)
-    quiet = plant.closed_loop(q_ref)
-    size = sizes(quiet.q, quiet.u, period, axis.drive.gain)
+    without_noise = plant.closed_loop(q_ref)
+    size = sizes(without_noise.q, without_noise.u, period, axis.drive.gain)
     run = plant.closed_loop(
         q_ref,
         disturbance=size["N"] * _force_noise(random, q_ref.size, period),

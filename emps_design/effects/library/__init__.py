@@ -1,4 +1,4 @@
-"""The physical effects this package knows, one file each, in the order they are listed and tried."""
+"""The physical effects of this package, one file each, in the order in which they are listed and tried."""
 
 from __future__ import annotations
 

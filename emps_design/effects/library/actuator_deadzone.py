@@ -1,7 +1,7 @@
-"""Actuator dead zone: below ``width`` the voltage does nothing, above it the width is missing.
+"""Actuator dead zone: below ``width`` the voltage has no effect, above it ``width`` is subtracted.
 
-The dead band of a power stage (dead time of its switches) or of a servo amplifier's input. For |u| > width the force
-lost is G_tau width sign(u), the column; within the dead zone it is less, and the column only approximate.
+The dead band of a power stage (dead time of its switches) or of the input of a servo amplifier. For |u| > width the
+lost force is G_tau width sign(u), the regressor; within the dead zone it is less, and the regressor is approximate.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from emps_design.effects.effect import Effect, Motion, Parameter, Parameters, Se
 
 PARAMETERS = (
     Parameter("width", "u_0", "V", 0.0, 10.0, linear=True, starts=(0.05, 0.1, 0.2, 0.5),
-              text="voltage below which nothing acts"),
+              text="voltage below which no force acts"),
 )  # fmt: skip
 
 
@@ -50,7 +50,7 @@ EFFECT = Effect(
     expression=expression,
     search=Search(propose=propose, confused_with=("stribeck_friction", "presliding_friction", "backlash")),
     words=Words(
-        where="a step whenever the motor force changes sign, braking as well as reversing",
+        where="a step whenever the motor force changes sign, on braking as well as on reversing",
         experiment="brake along one direction without reversing: the step follows the voltage, not the speed",
         remedy="add the width to the command with the sign of the command, smoothed near zero",
     ),

@@ -1,8 +1,8 @@
 """Actuator delay: the voltage acts a time ``delay`` after it was recorded.
 
-A fieldbus, a current loop's own sampling, a computation that the record does not show. It comes on top of the hold
-of the drive and of ``computation_delay`` in the axis file. The column is its first order, delay dtau/dt, good while
-the delay is short against the motion.
+Causes are a fieldbus, the sampling of a current loop, or a computation that the record does not show. It adds to the
+hold of the drive and to ``computation_delay`` in the axis file. The regressor is the first-order term delay dtau/dt,
+valid if the delay is short compared with the motion.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ EFFECT = Effect(
     label="Actuator delay",
     channel="actuator",
     equation=r"\tau(t) = G_\tau\, u(t - T_d)",
-    source="transport delay; paper section II-A takes the drive as immediate",
+    source="transport delay; paper section II-A assumes a drive without delay",
     parameters=PARAMETERS,
     delay=delay,
     over="step",
@@ -41,8 +41,9 @@ EFFECT = Effect(
     search=Search(confused_with=("actuator_lag", "flexible_coupling", "presliding_friction")),
     words=Words(
         where="in proportion to the rate of the motor force: at every change of acceleration and every reversal",
-        experiment="a multi-sine from 5 to 100 Hz: a delay turns the phase in proportion to frequency, the gain stays",
-        remedy="take it from the phase margin: crossover times delay in radians; shorten the bus cycle",
+        experiment="a multi-sine from 5 to 100 Hz: the phase lag of a delay is proportional to frequency, "
+        "the gain constant",
+        remedy="subtract it from the phase margin: crossover times delay in radians; shorten the bus cycle",
     ),
     checks=(
         ({"delay": 1.6e-3}, {}, 1.6e-3),

@@ -1,8 +1,8 @@
 """Actuator lag: the force follows G_tau u with a first-order lag, time_constant df/dt + f = tau.
 
 A current loop of finite bandwidth; the same physics as ``drive.current_time_constant`` of the axis file, identified
-from a record. The state is the force that acts; the extra force on the left-hand side is tau - f. The column
-time_constant df/dt is exact, f being the force that the motion needs.
+from a record. The state is the acting force f; the extra force on the left-hand side is tau - f. The regressor
+time_constant df/dt is exact if f is the force that the motion needs.
 """
 
 import numpy as np
@@ -48,8 +48,8 @@ EFFECT = Effect(
     search=Search(confused_with=("actuator_delay", "flexible_coupling", "presliding_friction")),
     words=Words(
         where="in proportion to the rate of the motor force: at every change of acceleration and every reversal",
-        experiment="a multi-sine from 5 to 100 Hz: a lag loses gain as well as phase, a delay only phase",
-        remedy="raise the bandwidth of the current loop, or take its phase from the margin of the velocity loop",
+        experiment="a multi-sine from 5 to 100 Hz: a lag reduces gain and phase, a delay only phase",
+        remedy="raise the bandwidth of the current loop, or subtract its phase from the margin of the velocity loop",
     ),
     checks=(
         ({"time_constant": 2e-3}, {"tau": 50.0, "x": (20.0,)}, 30.0),

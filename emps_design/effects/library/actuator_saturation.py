@@ -1,8 +1,8 @@
-"""Actuator saturation: the voltage that acts stays within +-limit, whatever the controller asked for.
+"""Actuator saturation: the acting voltage stays within +-limit, whatever the controller commands.
 
-A current limit of the amplifier below the voltage limit that the controller knows. The recorded voltage is the
-command and goes beyond the limit. Symmetric. No column: the force lost is known from the command alone, and only where
-it exceeds the limit.
+A current limit of the amplifier below the voltage limit that the controller knows. The recorded voltage is the command
+and may exceed the limit. The limit is symmetric. There is no regressor: the lost force depends on the command alone,
+and only where the command exceeds the limit.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from emps_design.effects.effect import Effect, Motion, Parameter, Search, Words
 
 PARAMETERS = (
     Parameter("limit", r"u_{max}", "V", 0.05, 100.0, starts=(2.0, 3.0, 4.0, 6.0, 8.0),
-              text="largest voltage that acts"),
+              text="largest acting voltage"),
 )  # fmt: skip
 
 
@@ -20,7 +20,7 @@ def actuator(u, p):
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    # The residual of a loop at its limit depends sharply on it: the minimum is a few percent wide.
+    # With a loop at its limit, the minimum of the residual over the limit is only a few percent wide.
     largest = float(np.abs(np.asarray(motion.voltage)).max())
     return [{"limit": float(limit)} for limit in largest * np.geomspace(0.98, 0.25, 40)]
 
@@ -43,9 +43,9 @@ EFFECT = Effect(
     expression=expression,
     search=Search(propose=propose, confused_with=("mass_change", "end_stop", "actuator_lag")),
     words=Words(
-        where="while the command is large, after a fast change of the reference; the command outgrows the acceleration",
-        experiment="the same stroke at half the acceleration: below the limit the misfit is gone",
-        remedy="limit the reference's acceleration to what the limit gives, and put the limit in the anti-windup",
+        where="while the command is large, after a fast change of the reference: the acceleration does not follow it",
+        experiment="the same stroke at half the acceleration: below the limit the residual disappears",
+        remedy="limit the acceleration of the reference to what the limit allows, and put the limit in the anti-windup",
     ),
     checks=(
         ({"limit": 3.5}, {"u": 5.0}, 3.5),

@@ -1,9 +1,9 @@
 """Asymmetric viscous friction: the two directions of travel have different viscous coefficients.
 
 With F_v = (F_v+ + F_v-)/2 in the baseline and ``viscous_difference`` = (F_v+ - F_v-)/2 the extra force is
-viscous_difference |v|. The other half of a two-quadrant friction, different Coulomb levels, is not here: half their
-difference is a constant force, exactly, and the baseline's offset holds it. ``FrictionModel`` has the four numbers
-of equation (3).
+viscous_difference |v|. The other asymmetry of a two-quadrant friction, different Coulomb levels, is not part of it:
+half their difference is exactly a constant force, which is in the offset of the baseline. ``FrictionModel`` has the
+four parameters of equation (3).
 """
 
 import numpy as np

@@ -1,19 +1,19 @@
 """Back-EMF braking: a motor without a current loop brakes in proportion to its speed, as long as its winding is closed.
 
 With k_e the voltage per speed and G_tau the force per volt at the winding, ``braking`` = G_tau k_e. While the motor is
-on that is viscous friction, and no record tells the two apart; where it was switched off (the column ``enable``) the
-braking is gone and the friction is not. An axis file may have k_e instead, ``back_emf`` of its ``[drive]``: then this
-effect adds to that number.
+on, no record separates this from viscous friction; while it is switched off (column ``enable``), the braking is zero
+and the friction is not. An axis file may have k_e instead, as ``back_emf`` of its ``[drive]``; this effect then adds to
+that value.
 """
 
 import numpy as np
 
 from emps_design.effects.effect import VISCOUS, Claims, Effect, Motion, Parameter, Parameters, Search, Solver, Words
 
-PARTS = (0.25, 0.5, 0.9)  # of the viscous friction that was fitted without it
+PARTS = (0.25, 0.5, 0.9)  # shares of the viscous friction that was fitted without the effect
 PARAMETERS = (
     Parameter("braking", r"G_\tau k_e", "N/(m/s)", lower=0.0, linear=True, scale=20.0,
-              text="braking by the motor that is on, force per speed"),
+              text="braking force per speed while the motor is on"),
 )  # fmt: skip
 
 
@@ -30,7 +30,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    return [{"braking": part * float(b[VISCOUS])} for part in PARTS]  # part of the fitted friction
+    return [{"braking": part * float(b[VISCOUS])} for part in PARTS]
 
 
 def expression(q, v, t, tau, p, b):
@@ -54,8 +54,8 @@ EFFECT = Effect(
     ),
     words=Words(
         where="in proportion to speed, and only while the motor is on",
-        experiment="switch the motor off in motion, and record the column enable: what still brakes then is friction",
-        remedy="a current loop, or the back-EMF fed forward with the speed",
+        experiment="switch the motor off in motion, and record the column enable: the remaining braking is friction",
+        remedy="use a current loop, or feed the back-EMF forward from the speed",
     ),
     claims=Claims(parity="odd", passive=True),
     checks=(({"braking": 40.0}, {"v": 0.5}, 20.0), ({"braking": 40.0}, {"v": -0.25}, -10.0)),

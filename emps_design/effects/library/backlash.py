@@ -1,9 +1,9 @@
-"""Backlash: part of the mass sits behind a coupling with play; within the gap nothing is transmitted.
+"""Backlash: part of the mass is behind a coupling with play; within the gap no force is transmitted.
 
-With d = q - q_load the contact force is k (d -+ gap/2) + c (v - v_load) where |d| > gap/2 and zero between. The
-coupling is that of ``flexible_coupling``: in contact the free pair resonates at ``frequency`` (reduced mass
-m = M share (1 - share), k = m w_n^2, c = 2 damping m w_n), and so is the friction on the load; the load starts at rest
-in the middle of the play. The damper acts from contact on, so it may pull for the last instant before release.
+With d = q - q_load the contact force is k (d -+ gap/2) + c (v - v_load) for |d| > gap/2, else zero. The coupling and
+the friction on the load are those of ``flexible_coupling``: in contact the free pair resonates at ``frequency``
+(reduced mass m = M share (1 - share), k = m w_n^2, c = 2 damping m w_n). The load starts at rest in the middle of the
+play. The damper acts during contact, so the force may pull just before release.
 """
 
 from math import pi
@@ -73,10 +73,10 @@ EFFECT = Effect(
     solver=Solver(guard=guard, affine=affine),
     search=Search(confused_with=("flexible_coupling", "presliding_friction", "actuator_deadzone")),
     words=Words(
-        where="a knock after every reversal of the transmitted force, then a short free flight",
+        where="an impact at every reversal of the transmitted force, after a short free motion",
         experiment="slow reversals with a position sensor on the load, or a small square wave "
-        "about rest: the load stays",
-        remedy="preload the nut or the belt; else keep the crossover low enough that the limit cycle dies",
+        "about rest: the load does not move",
+        remedy="preload the nut or the belt, or keep the crossover low enough that there is no limit cycle",
     ),
     claims=Claims(passive=True),
     checks=(

@@ -1,8 +1,8 @@
 """Elastic force: a spring to the frame, stiffness (q - rest_position).
 
-A hose, a cable chain, a balancing spring. The rest position trades against the baseline's constant force exactly, so
-from motion alone only the stiffness is known; the rest position is a choice, 0 unless a test without offset gives it.
-Load-dependent friction depends on the preload, which is its ``carried_force``.
+A hose, a cable chain, a balancing spring. The rest position cannot be separated from the constant force of the
+baseline: motion determines only the stiffness, and the rest position is 0 unless a test without offset gives it. The
+preload, on which load-dependent friction depends, is the ``carried_force`` of that effect.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ EFFECT = Effect(
     name="elastic_force",
     label="Elastic force",
     equation=r"F = k\,(q - q_0)",
-    source="linear spring; M. Gautier's inverse dynamic models carry it as one more column",
+    source="linear spring; one more regressor in the inverse dynamic models of M. Gautier",
     parameters=PARAMETERS,
     force=force,
     over="q",

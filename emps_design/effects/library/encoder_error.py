@@ -1,8 +1,9 @@
 """Encoder error: the encoder reads q + amplitude sin(2 pi q / period + phase).
 
-An eccentric disc or interpolation error. The controller acts on it too. In the inverse dynamic model of the measured
-motion q_m = q + e the extra left-hand force is -(M d2e/dt2 + F_v de/dt); the columns take e at the measured position,
-right while the amplitude is small against the period. It grows with speed squared, which a ripple does not.
+Caused by an eccentric disc or interpolation. The controller acts on the error, too. In the inverse dynamic model of the
+measured motion q_m = q + e the extra left-hand force is -(M d2e/dt2 + F_v de/dt); the regressors evaluate e at the
+measured position, which is accurate for amplitudes much smaller than the period. The force grows with the square of the
+speed; that of a ripple does not.
 """
 
 from math import pi
@@ -47,8 +48,9 @@ EFFECT = harmonic.along(
         propose=propose, plausible=harmonic.plausible, confused_with=("position_ripple", "periodic_disturbance")
     ),
     words=Words(
-        where="one line in the spectrum over position, whose force grows with the square of speed",
-        experiment="constant-velocity strokes at two speeds: an encoder's error quadruples in force at twice the speed",
+        where="one line in the spectrum over position, with a force that grows with the square of speed",
+        experiment="constant-velocity strokes at two speeds: at twice the speed the force of an encoder error is "
+        "four times as large",
         remedy="calibrate the encoder over one period, or keep 2 pi v / period below the crossover",
     ),
     checks=(

@@ -1,6 +1,6 @@
-"""End stop: a one-sided spring that the carriage meets at a position and leaves again.
+"""End stop: a one-sided spring that the carriage touches at a position.
 
-``side`` is +1 for a stop met when moving up (it acts above ``position``) and -1 for one met when moving down.
+``side`` is +1 for a stop at the upper end (it acts above ``position``) and -1 for one at the lower end.
 """
 
 import numpy as np
@@ -50,7 +50,7 @@ EFFECT = Effect(
     name="end_stop",
     label="End stop",
     equation=r"F = s\,k\,\max(0,\, s\,(q - q_s))",
-    source="unilateral spring, the rubber buffer at the end of the guide",
+    source="unilateral spring: the rubber buffer at the end of the guide",
     parameters=PARAMETERS,
     force=force,
     over="q",
@@ -59,8 +59,8 @@ EFFECT = Effect(
     solver=Solver(guard=guard),
     search=Search(propose=propose, plausible=plausible, confused_with=("elastic_force", "position_dependent_friction")),
     words=Words(
-        where="beyond one position only, at one end of the travel, and growing there",
-        experiment="repeat the record over a shorter travel that stays clear of the suspected end",
+        where="beyond one position, at one end of the travel, increasing towards the end",
+        experiment="repeat the record over a shorter travel that does not reach the suspected end",
         remedy="shorten the travel, move the stop, or limit the reference ahead of it",
     ),
     claims=Claims(parity="even", passive=True),

@@ -1,7 +1,7 @@
-"""External force: something pushes the carriage, in pulses of ``duration``, once or every so often.
+"""External force: pulses of ``duration`` that push the carriage, once or periodically.
 
-A positive amplitude pushes towards +q, so the kernel, on the side of the friction, returns minus it. ``every`` is the
-time from one pulse to the next; no longer than the pulse itself, as 0 is, it means a single pulse.
+A positive amplitude pushes towards +q, so the kernel, which is on the side of the friction, returns a negative force.
+``every`` is the time from one pulse to the next; if it is not longer than the pulse, such as 0, there is one pulse.
 """
 
 from math import floor, inf
@@ -17,7 +17,7 @@ PARAMETERS = (
     Parameter("start", "t_0", "s", lower=0.0, per_record=True, scale=0.1, text="start of the first pulse"),
     Parameter("duration", "D", "s", lower=1e-3, starts=(0.1, 0.25, 0.5, 1.0), text="length of a pulse"),
     Parameter("every", "T", "s", lower=0.0, per_record=True, scale=0.1,
-              text="from one pulse to the next, 0: a single one"),
+              text="time from one pulse to the next, 0: a single pulse"),
 )  # fmt: skip
 
 
@@ -36,13 +36,13 @@ def jump_time(q, v, t, tau, x, p, b):
     since = t - p[1] + SNAP
     if since < 0.0:
         return p[1]
-    begun = 0.0
+    rise = 0.0
     if p[3] > p[2]:
-        begun = p[3] * floor(since / p[3])
-    if since - begun < p[2]:
-        return p[1] + begun + p[2]
+        rise = p[3] * floor(since / p[3])
+    if since - rise < p[2]:
+        return p[1] + rise + p[2]
     if p[3] > p[2]:
-        return p[1] + begun + p[3]
+        return p[1] + rise + p[3]
     return inf
 
 
@@ -53,7 +53,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarray) -> list[dict[str, float]]:
-    # The residual opposes the motor; the pulse pushes the carriage.
+    # The residual is positive against the motor, the pulse towards +q.
     return search.pulses(-residual, motion.t, motion.period)
 
 
@@ -64,8 +64,8 @@ def plausible(parameters: Parameters, motion: Motion) -> bool:
     later = round(every / motion.period)
     if not 0 < later < motion.q.size // 2:
         return True
-    apart = motion.q[later:] - motion.q[:-later]
-    return float(np.var(apart)) > ALIKE * float(np.var(motion.q))  # in step with the laps, it is a matter of the place
+    difference = motion.q[later:] - motion.q[:-later]
+    return float(np.var(difference)) > ALIKE * float(np.var(motion.q))  # else synchronous with laps: depends on q
 
 
 def expression(q, v, t, tau, p, b):
@@ -93,9 +93,9 @@ EFFECT = Effect(
         confused_with=("periodic_disturbance", "friction_drift", "controller_disturbance"),
     ),
     words=Words(
-        where="within intervals of time, whatever position and speed are",
-        experiment="repeat the same lap: what comes at other places of the lap comes from outside",
-        remedy="find the source; the observer gives the force as it comes",
+        where="within intervals of time, at any position and speed",
+        experiment="repeat the same lap: a force that acts at other places of the lap is external",
+        remedy="find the source; the observer gives the force in real time",
     ),
     claims=Claims(parity="even"),
     checks=(

@@ -1,8 +1,8 @@
-"""Flexible coupling: part of the mass sits behind a spring and a damper, on the far side of the encoder.
+"""Flexible coupling: part of the mass is behind a spring and a damper, seen from the encoder.
 
-With mass M split into M (1 - share) on the encoder's side and M share behind the coupling, the free pair resonates at
+The mass M is split into M (1 - share) on the encoder's side and M share behind the coupling. The free pair resonates at
 ``frequency`` (w_n = 2 pi f, reduced mass m = M share (1 - share)), so k = m w_n^2 and c = 2 damping m w_n. The share
-``load_friction`` of the baseline's friction acts on the load, the rest on the encoder's side. States: twist
+``load_friction`` of the baseline friction acts on the load, the rest on the encoder's side. States: twist
 d = q - q_load [m] and load velocity [m/s].
 """
 
@@ -48,7 +48,7 @@ EFFECT = Effect(
     equation=r"\tau_c = k (q - q_l) + c (\dot q - \dot q_l),\quad "
     r"M_l \ddot q_l = \tau_c - \lambda (F_v \dot q_l + F_c\, \mathrm{sign}(\dot q_l))",
     source="two-mass model; the coupling of paper section II-A, assumed rigid there",
-    parameters=two_mass.coupling("", (20.0, 35.0, 60.0, 100.0), 0.05, "that sits behind the coupling"),
+    parameters=two_mass.coupling("", (20.0, 35.0, 60.0, 100.0), 0.05, "behind the coupling"),
     force=force,
     dry=dry,
     inertia=inertia,
@@ -58,9 +58,9 @@ EFFECT = Effect(
     solver=Solver(affine=affine),
     search=Search(confused_with=("actuator_delay", "actuator_lag", "backlash")),
     words=Words(
-        where="a band around the resonance, after every jerk of the reference",
+        where="in a band around the resonance, after every jerk of the reference",
         experiment="a multi-sine or chirp across the resonance at small amplitude, without reversals",
-        remedy="keep the crossover below a fifth of the resonance, or put a notch there",
+        remedy="keep the crossover below a fifth of the resonance, or use a notch filter",
     ),
     claims=Claims(passive=True),
     checks=(

@@ -1,8 +1,8 @@
 """Force map: a force that varies along the travel, the same in both directions, as a curve through few knots.
 
-Cable chains and hoses that bend, a counterweight, a screw that is not level, guides that pinch and push. The curve has
-seven equally spaced knots (:mod:`emps_design.effects.travel_map`); a curve that a spring or one harmonic
-fits as well is left to those.
+Caused by cable chains and hoses, a counterweight, a screw that is not level, or misaligned guides. The curve has seven
+equally spaced knots (:mod:`emps_design.effects.travel_map`). A curve that a spring or one harmonic fits as well counts
+as one of these.
 """
 
 from emps_design.effects import travel_map
@@ -18,11 +18,11 @@ EFFECT = travel_map.along(
     name="force_map",
     label="Force over position",
     equation=r"F = h(q),\quad h \text{ a cubic spline through seven knots},\ h(q_0) = 0",
-    source="look-up table over position, as drives keep one; B. Armstrong-Helouvry et al., Automatica 30 (1994)",
+    source="look-up table over position, as in many drives; B. Armstrong-Helouvry et al., Automatica 30 (1994)",
     words=Words(
-        where="slowly along the travel, with the same sign in both directions, at every speed alike",
+        where="slowly varying along the travel, with the same sign in both directions, at any speed",
         experiment="one slow constant-velocity stroke over the whole travel in each direction: half the sum is the map",
-        remedy="feed the map forward from position, or mend what pulls: chain, hose, alignment",
+        remedy="feed the map forward from position, or repair the cause: chain, hose, alignment",
     ),
     claims=Claims(parity="even", passive=True),
     checks=(

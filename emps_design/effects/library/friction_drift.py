@@ -1,6 +1,6 @@
-"""Friction drift: Coulomb and viscous friction settle from one level to another, by 1 + change (1 - exp(-t/T)).
+"""Friction drift: Coulomb and viscous friction drift to another level, by the factor 1 + change (1 - exp(-t/T)).
 
-Warming grease, in general a negative change. The baseline is the friction at the record's first sample.
+The usual cause is grease that warms up, with a negative change. The baseline is the friction at the first sample.
 """
 
 from math import exp
@@ -10,9 +10,9 @@ import numpy as np
 from emps_design.effects.effect import COULOMB, VISCOUS, Claims, Effect, Motion, Parameter, Parameters, Search, Words
 
 PARAMETERS = (
-    Parameter("change", "c", "", -0.95, 5.0, linear=True, scale=0.2, text="relative change of friction, settled"),
+    Parameter("change", "c", "", -0.95, 5.0, linear=True, scale=0.2, text="final relative change of friction"),
     Parameter("time_constant", "T", "s", 0.1, 3600.0, starts=(3.0, 6.0, 12.0, 25.0, 60.0),
-              text="time constant of the settling"),
+              text="time constant of the drift"),
 )  # fmt: skip
 
 
@@ -31,7 +31,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
     span = float(motion.t[-1])
-    return 0.05 * span < parameters["time_constant"] < 20 * span  # faster is a start-up, slower a straight line
+    return 0.05 * span < parameters["time_constant"] < 20 * span  # faster: a start-up; slower: a straight line
 
 
 def expression(q, v, t, tau, p, b):
@@ -56,9 +56,9 @@ EFFECT = Effect(
         plausible=plausible, confused_with=("mass_change", "position_dependent_friction", "asymmetric_viscous_friction")
     ),
     words=Words(
-        where="from the start of the record on, in both directions, the laps differing from one another",
+        where="from the start of the record on, in both directions; laps differ from one another",
         experiment="repeat one lap for some minutes from cold: the force of equal strokes settles",
-        remedy="warm the axis up before identifying, and let the observer or an adaptive compensation follow the rest",
+        remedy="warm the axis up before identification, and use an observer or adaptive friction compensation",
     ),
     claims=Claims(parity="odd"),
     checks=(

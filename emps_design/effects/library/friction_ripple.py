@@ -1,7 +1,7 @@
-"""Friction ripple: dry friction that repeats with travel, amplitude sin(2 pi q / period + phase) sign(v).
+"""Friction ripple: dry friction that is periodic in position, amplitude sin(2 pi q / period + phase) sign(v).
 
-A nut or a bearing off centre, a bent screw: it rubs harder once in a revolution, so the force changes sign with the
-direction of travel where a ``position_ripple`` does not. Both have the same period where one part makes both.
+With an eccentric nut or bearing, or a bent screw, friction is higher once per revolution. The force changes sign with
+the direction of motion; that of a ``position_ripple`` does not. Both have the same period if one part causes both.
 """
 
 from math import pi
@@ -23,7 +23,7 @@ EFFECT = harmonic.along(
     name="friction_ripple",
     label="Friction ripple",
     equation=r"F = A \sin(2\pi q/\lambda + \varphi)\, \mathrm{sign}(\dot q)",
-    source="screw and nut off centre; one revolution of the encoder is 2.5 mm on the EMPS",
+    source="eccentric screw and nut; one revolution of the encoder is 2.5 mm on the EMPS",
     search=Search(
         propose=propose,
         plausible=harmonic.plausible,
@@ -31,7 +31,7 @@ EFFECT = harmonic.along(
     ),
     words=Words(
         where="one line in the spectrum over position, with opposite sign in the two directions",
-        experiment="slow constant-velocity strokes in both directions over one travel: "
+        experiment="slow constant-velocity strokes in both directions over the same travel: "
         "half the difference has the line",
         remedy="align screw and nut, or feed the ripple forward with the sign of the velocity",
     ),

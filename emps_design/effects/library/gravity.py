@@ -1,8 +1,8 @@
-"""Gravity on an axis that turns: the weight of an arm, torque sin(q + angle), the same in both directions.
+"""Gravity on a rotary axis: the weight of an arm, torque sin(q + angle), the same in both directions.
 
-An arm whose centre of mass is off the axis of rotation; the torque is m g l, at its largest where the arm is level.
-``angle`` is where the encoder's zero lies: the arm hangs straight down at q = -angle. On an axis that moves along a
-line gravity is a constant force, which the baseline has.
+The centre of mass of the arm is off the axis of rotation; the torque is m g l when the arm is horizontal. ``angle`` is
+the angle of the arm at the zero of the encoder: the arm hangs straight down at q = -angle. On a linear axis gravity is
+a constant force, which is part of the baseline.
 """
 
 from math import pi, sin
@@ -13,9 +13,9 @@ from emps_design.effects import harmonic
 from emps_design.effects.effect import Claims, Effect, Motion, Parameter, Parameters, Search, Words
 
 PARAMETERS = (
-    Parameter("torque", "A", "N", lower=0.0, linear=True, scale=1.0, text="weight times its distance"),
+    Parameter("torque", "A", "N", lower=0.0, linear=True, scale=1.0, text="weight times distance from the axis"),
     Parameter("angle", r"\varphi", "rad", linear=True, scale=1.0,
-              text="angle of the arm from hanging at the encoder's zero"),
+              text="angle of the arm from hanging down, at the encoder's zero"),
 )  # fmt: skip
 
 
@@ -51,8 +51,8 @@ EFFECT = Effect(
     estimation=harmonic.estimation("torque", "angle", gravity=identified),
     search=Search(confused_with=("elastic_force", "position_ripple", "position_dependent_friction")),
     words=Words(
-        where="over the angle, the same in both directions and at every speed, once round in a revolution",
-        experiment="hold the arm at several angles over as much of a turn as there is, "
+        where="a sine over the angle, once per revolution, the same in both directions and at every speed",
+        experiment="hold the arm at several angles over as much of a turn as possible, "
         "approaching each from both sides",
         remedy="feed the weight forward from the angle, or balance the arm",
     ),

@@ -1,6 +1,6 @@
-"""Mass change: at an instant the moving mass becomes (1 + change) times what it was.
+"""Mass change: at an instant the moving mass changes to (1 + change) times its value.
 
-A payload taken up or set down; it has the carriage's velocity at that moment.
+A payload is picked up or set down; it has the velocity of the carriage at that instant.
 """
 
 from math import inf
@@ -37,7 +37,7 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
-    return 0.05 < parameters["time"] / float(motion.t[-1]) < 0.95  # outside, the record has one mass only
+    return 0.05 < parameters["time"] / float(motion.t[-1]) < 0.95  # otherwise the record has only one mass
 
 
 def expression(q, v, t, tau, p, b):
@@ -65,7 +65,7 @@ EFFECT = Effect(
     words=Words(
         where="during accelerations after one instant, not before",
         experiment="the same stroke before and after the suspected instant, at two accelerations",
-        remedy="schedule mass and gains on the payload; the margins of the velocity loop move with 1/M",
+        remedy="schedule mass and gains with the payload; the crossover of the velocity loop is proportional to 1/M",
     ),
     checks=(
         ({"change": 0.1, "time": 8.0}, {"t": 7.9}, 0.0),

@@ -1,8 +1,8 @@
-"""Maxwell-slip friction: part of the dry friction lags behind every reversal by a travel of its own.
+"""Maxwell-slip friction: after a reversal, part of the dry friction changes sign only over a certain travel.
 
-One element of the generalised Maxwell-slip model, beside the Coulomb friction or the stiff element of
-``presliding_friction``: F = share F_c w, dw/dt = (v - |v| w) / travel, so w = sign(v) but for a part that falls by e
-over every ``travel`` since the reversal, whatever the speed. It adds to the Coulomb level F_c of the baseline.
+One element of the generalised Maxwell-slip model, in addition to the Coulomb friction or to the stiff element of
+``presliding_friction``: F = share F_c w, dw/dt = (v - |v| w) / travel. So w = sign(v), except for a part that falls by
+a factor of e over every ``travel`` since the reversal, at any speed. It adds to the Coulomb level F_c of the baseline.
 """
 
 from emps_design.effects.effect import COULOMB, Claims, Effect, Parameter, Search, Solver, Words
@@ -36,9 +36,9 @@ EFFECT = Effect(
     solver=Solver(by_travel=True),
     search=Search(confused_with=("presliding_friction", "stribeck_friction", "backlash"), element=True),
     words=Words(
-        where="0.1 to a few millimetres after every reversal: friction rises more slowly than a contact bends",
+        where="0.1 to a few millimetres after every reversal: friction rises more slowly than in presliding",
         experiment="reversals at several accelerations: the rise is the same over travel, not over time",
-        remedy="compensate friction with its path since the last reversal, not with the sign of the velocity",
+        remedy="compensate friction as a function of the path since the last reversal, not of the sign of the velocity",
     ),
     claims=Claims(passive=True),
     checks=(

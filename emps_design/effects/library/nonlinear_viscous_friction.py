@@ -1,9 +1,9 @@
-"""Nonlinear viscous friction: the friction curve bends, by amount sign(v) (|v| / 0.1 m/s)^exponent.
+"""Nonlinear viscous friction: the friction curve is not straight, by amount sign(v) (|v| / 0.1 m/s)^exponent.
 
-Exponent 2 is drag that grows faster than speed (churning, air), or with a negative amount a curve that flattens at
-the top; exponent 1/2 a curve that rises steeply from rest and flattens (shear thinning of the grease). The viscous
-coefficient of the baseline holds the straight part. Below ``SMOOTH`` the curve is a straight line, so that
-the slope at rest stays finite: force = amount (v/V) ((v^2 + SMOOTH^2)/V^2)^((exponent - 1)/2) with V = 0.1 m/s.
+Exponent 2 is drag that grows faster than speed (churning, air), or with a negative amount a curve that flattens at high
+speed; exponent 1/2 is a curve that rises steeply from rest and then flattens (shear thinning of the grease). The linear
+part is the viscous coefficient of the baseline. Below ``SMOOTH`` the curve is a straight line, so that the slope at
+rest is finite: force = amount (v/V) ((v^2 + SMOOTH^2)/V^2)^((exponent - 1)/2) with V = 0.1 m/s.
 """
 
 from math import sqrt
@@ -16,7 +16,7 @@ SPEED = 0.1  # m/s, at which the force is the amount
 SMOOTH = 1e-4  # m/s
 PARAMETERS = (
     Parameter("amount", r"F_{0.1}", "N", linear=True, scale=5.0,
-              text="force of the bend at 0.1 m/s; negative where it relieves"),
+              text="nonlinear force at 0.1 m/s; negative if it reduces friction"),
     Parameter("exponent", "n", "", 0.3, 4.0, starts=(2.0, 0.5), discrete=True,
               text="power of the speed: above 1 the curve bends up, below 1 it flattens"),
 )  # fmt: skip
@@ -24,7 +24,7 @@ PARAMETERS = (
 
 def force(q, v, t, tau, x, p, b):
     bend = sqrt(v * v + SMOOTH * SMOOTH) * (1.0 / SPEED)
-    if p[1] != 2.0:  # the power is the slowest operation here
+    if p[1] != 2.0:  # the power is the slowest operation
         bend = bend ** (p[1] - 1.0)
     return p[0] * (1.0 / SPEED) * v * bend
 
@@ -55,9 +55,9 @@ EFFECT = Effect(
     estimation=Estimation(identified_by={"bent-viscous": of_power}),
     search=Search(confused_with=("stribeck_friction", "load_dependent_friction", "asymmetric_viscous_friction")),
     words=Words(
-        where="at the highest speeds, and with opposite sign between rest and half of them",
-        experiment="constant-velocity strokes at five or more speeds spread evenly up to the highest",
-        remedy="identify over the speeds of use only, or put the curve in the friction compensation",
+        where="at the highest speeds, and with opposite sign below half of them",
+        experiment="constant-velocity strokes at five or more speeds, spaced evenly up to the highest",
+        remedy="identify only in the speed range in use, or use the curve in the friction compensation",
     ),
     claims=Claims(parity="odd"),
     checks=(

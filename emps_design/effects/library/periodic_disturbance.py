@@ -1,6 +1,6 @@
-"""Periodic disturbance: a force over time, amplitude sin(2 pi frequency t + phase), towards +q where positive.
+"""Periodic disturbance: a force over time, amplitude sin(2 pi frequency t + phase), positive towards +q.
 
-A neighbouring machine, a pump, hum of the supply. Towards +q means minus on the side of the friction.
+Caused by a neighbouring machine, a pump, or hum of the supply. On the side of the friction its sign is negative.
 """
 
 from math import pi, sin
@@ -35,8 +35,8 @@ def propose(motion: Motion, residual: np.ndarray, b: np.ndarray, away: np.ndarra
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
     if parameters["frequency"] * float(motion.t[-1]) <= 20:
-        return False  # fewer turns are a drift, or follow the program
-    # A machine that swings at this frequency itself is moved at it, and the force would pass for its inertia.
+        return False  # with fewer periods it is a drift, or part of the program
+    # If the machine itself moves at this frequency, the force could not be separated from that of its inertia.
     line = np.mean(motion.v * np.exp(-2j * pi * parameters["frequency"] * motion.t))
     return bool(2.0 * abs(line) ** 2 < MOVED * np.mean(motion.v**2))
 
@@ -62,9 +62,9 @@ EFFECT = Effect(
         propose=propose, plausible=plausible, confused_with=("external_force", "position_ripple", "encoder_error")
     ),
     words=Words(
-        where="one line in the spectrum over time, at every position and speed, at rest as well",
+        where="one line in the spectrum over time, at every position and speed, also at rest",
         experiment="a record at standstill: the line is still there",
-        remedy="isolate the source, or a resonant term in the controller at that frequency",
+        remedy="isolate the source, or use a resonant term in the controller at that frequency",
     ),
     claims=Claims(parity="even"),
     checks=(

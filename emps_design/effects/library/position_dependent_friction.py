@@ -1,7 +1,7 @@
 """Position-dependent friction: the Coulomb level varies along the travel, amplitude sin(2 pi q / length + phase).
 
-Guides out of parallel, preload that varies, a dirty length of rail. Unlike a ripple it changes sign with the
-direction of travel. The total level never falls below zero.
+Caused by guides that are not parallel, varying preload, or a dirty part of a rail. Unlike a ripple it changes sign with
+the direction of motion. The total level is never negative.
 """
 
 from math import pi
@@ -30,13 +30,13 @@ EFFECT = harmonic.along(
     name="position_dependent_friction",
     label="Position-dependent friction",
     equation=r"F = A \sin(2\pi q/\Lambda + \varphi)\, \mathrm{sign}(\dot q)",
-    source="first harmonic of the Coulomb level over position; paper section II-B takes the level as constant",
+    source="first harmonic of the Coulomb level over position; paper section II-B assumes a constant level",
     regressor=regressor,
     search=Search(plausible=plausible, confused_with=("position_ripple", "elastic_force", "friction_drift")),
     words=Words(
-        where="slowly along the travel, with opposite sign in the two directions, at every speed alike",
+        where="slowly varying along the travel, with opposite sign in the two directions, at any speed",
         experiment="one slow constant-velocity stroke over the whole travel in each direction",
-        remedy="align or relubricate the length named, or schedule the friction compensation on position",
+        remedy="align or relubricate the affected length, or schedule the friction compensation with position",
     ),
     claims=Claims(parity="odd"),
     checks=(

@@ -1,9 +1,9 @@
-"""Position ripple: a force that repeats with travel, amplitude sin(2 pi q / period + phase), the same both ways.
+"""Position ripple: a force periodic in position, amplitude sin(2 pi q / period + phase), the same in both directions.
 
-Cogging of the motor, a bent or eccentric screw, a belt's teeth: the period names the part (a revolution of the screw,
-of the encoder, a pole pair). The force derives from a potential, so a round trip costs nothing. The phase depends on
-where the encoder's zero was when the record was taken. Cogging has several such lines, harmonics or not: each is
-found and listed by itself.
+Caused by cogging, a bent or eccentric screw, or the teeth of a belt: the period identifies the part (a revolution of
+the screw or encoder, a pole pair). The force has a potential, so its work over a closed path is zero. The phase depends
+on the zero of the encoder in the record. Cogging has several such lines, harmonics or not; each is found and listed
+separately.
 """
 
 from math import pi
@@ -33,9 +33,9 @@ EFFECT = harmonic.along(
         lines=6,
     ),
     words=Words(
-        where="one line in the spectrum over position, at every speed with the same amplitude",
-        experiment="two slow constant-velocity strokes at different speeds: the period and the force stay the same",
-        remedy="feed the ripple forward from position, or keep k v / period away from the loop's resonances",
+        where="one line in the spectrum over position, with the same amplitude at every speed",
+        experiment="two slow constant-velocity strokes at different speeds: period and force do not change",
+        remedy="feed the ripple forward from position, or keep k v / period away from resonances of the loop",
     ),
     claims=Claims(parity="even", passive=True),
     checks=(

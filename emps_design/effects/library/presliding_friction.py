@@ -1,9 +1,9 @@
-"""Presliding friction: before it slides the contact bends like a spring and remembers its travel (Dahl).
+"""Presliding friction: before sliding the contact deflects like a spring with hysteresis (Dahl).
 
-F = stiffness z, dz/dt = v - |v| stiffness z / L, with L the Coulomb level of the moment: a spring at small travel,
-Coulomb friction L sign(v) after about 3 L / stiffness of travel. It stands in for the set-valued friction, so the
-carriage has no true stick; a level that other effects drive to zero erases the memory over ``FORGET``. A contact
-that would bend by less than ``FINEST`` bends over that: no encoder resolves it.
+F = stiffness z, dz/dt = v - |v| stiffness z / L, with the present Coulomb level L: a spring for small travel, Coulomb
+friction L sign(v) after a travel of about 3 L / stiffness. It replaces the set-valued friction, so the carriage never
+sticks completely. If other effects reduce the level to zero, the deflection decays over a travel of ``FORGET``. The
+deflection is at least ``FINEST``: no encoder resolves less.
 """
 
 from emps_design.effects.effect import Claims, Effect, Parameter, Search, Solver, Words
@@ -11,7 +11,7 @@ from emps_design.quantities import Quantity
 
 FORGET = 1e-4  # m
 FINEST = 1e-9  # m
-SETTLED = 1e-9  # of the whole bend: closer to it the contact counts as sliding, and steps may be long
+SETTLED = 1e-9  # of the full deflection: closer to it the contact counts as sliding, and steps may be long
 PARAMETERS = (
     Parameter("stiffness", r"\sigma", "N/m", 1e3, 1e8, starts=(2e4, 1e5, 5e5, 2e6),
               text="stiffness of the contact before it slides"),
@@ -24,9 +24,9 @@ def force(q, v, t, tau, x, p, b):
 
 def rate(q, v, t, tau, x, p, b, level, dx):
     if level > 0.0:
-        bend = level / p[0]
-        missing = v * bend - abs(v) * x[0]
-        dx[0] = missing / max(bend, FINEST) if abs(missing) > SETTLED * abs(v) * bend else 0.0
+        full = level / p[0]
+        change = v * full - abs(v) * x[0]
+        dx[0] = change / max(full, FINEST) if abs(change) > SETTLED * abs(v) * full else 0.0
     else:
         dx[0] = -abs(v) * x[0] / FORGET
 
@@ -46,8 +46,8 @@ EFFECT = Effect(
     search=Search(confused_with=("stribeck_friction", "backlash", "actuator_deadzone")),
     words=Words(
         where="the first tenths of a millimetre after every reversal",
-        experiment="small sine motion, below a thousandth of the travel: force over position draws a rounded loop",
-        remedy="an integral action that does not hunt: lead it with the spring near reversals, or dither",
+        experiment="small sine motion, below a thousandth of the travel: force over position is a rounded hysteresis",
+        remedy="avoid hunting of the integral action: feed the spring force forward near reversals, or use dither",
     ),
     claims=Claims(passive=True),
     checks=(

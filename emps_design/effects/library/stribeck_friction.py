@@ -1,4 +1,4 @@
-"""Stribeck friction: near zero velocity dry friction is higher than at speed, (F_s - F_c) exp(-|v/v_s|^delta) sign(v).
+"""Stribeck friction: dry friction is higher near zero velocity, by (F_s - F_c) exp(-|v/v_s|^delta) sign(v).
 
 Equation (4) of the paper with ``excess = F_s - F_c`` and an exponent delta_s in [1, 2]. The excess multiplies the
 set-valued sign, so the break-away force of a carriage at rest is F_c + excess.
@@ -15,13 +15,13 @@ PARAMETERS = (
               text="break-away force above Coulomb friction"),
     Parameter("stribeck_velocity", r"\dot q_s", "m/s", 1e-4, 1.0, starts=(0.002, 0.005, 0.01, 0.02, 0.04),
               text="velocity at which the excess has fallen to 1/e"),
-    Parameter("exponent", r"\delta_s", "", 1.0, 2.0, starts=(1.0, 2.0), discrete=True, text="sharpness of the fall"),
+    Parameter("exponent", r"\delta_s", "", 1.0, 2.0, starts=(1.0, 2.0), discrete=True, text="steepness of the decay"),
 )  # fmt: skip
 
 
 def dry(q, v, t, tau, x, p, b):
     ratio = abs(v) / p[1]
-    if p[2] != 1.0:  # the power is the slowest operation here
+    if p[2] != 1.0:  # the power is the slowest operation
         ratio = ratio ** p[2]
     return p[0] * exp(-ratio)
 
@@ -32,7 +32,7 @@ def regressor(motion: Motion, shape: Parameters, b: np.ndarray) -> np.ndarray:
 
 
 def plausible(parameters: Parameters, motion: Motion) -> bool:
-    return parameters["stribeck_velocity"] < 0.25 * float(np.abs(motion.v).max())  # wider is a curved viscous friction
+    return parameters["stribeck_velocity"] < 0.25 * float(np.abs(motion.v).max())  # else nonlinear viscous friction
 
 
 def expression(q, v, t, tau, p, b):
@@ -52,9 +52,9 @@ EFFECT = Effect(
     expression=expression,
     search=Search(plausible=plausible, confused_with=("presliding_friction", "actuator_deadzone", "backlash")),
     words=Words(
-        where="below a few Stribeck velocities, on both sides of every reversal",
+        where="below a few Stribeck velocities, before and after every reversal",
         experiment="slow constant-velocity strokes at several speeds up to a tenth of the highest, a break-away test",
-        remedy="add the excess to the friction compensation, or keep references away from the low-speed band",
+        remedy="add the excess to the friction compensation, or avoid references at low speed",
     ),
     claims=Claims(parity="odd", passive=True),
     checks=(

@@ -3,18 +3,18 @@
 Sample k, period T, reference r, position q, everything at rest before the first sample:
 
     v = (q[k] - q[k-1]) / T,   vr = (r[k] - r[k-1]) / T,   ar = (r[k] - 2 r[k-1] + r[k-2]) / T^2
-    vc = kp (r - q) in every n-th sample, the first among them, held in between
+    vc = kp (r - q) in every n-th sample, including the first, held in between
     e = vc + share vr - v,   J = I + kp_v T / ti e
     w = kp_v e + J (form "pi")  or  J - kp_v v (form "ip"),   + acceleration ar + coulomb sign(vr)
 
-Other estimators of v: :mod:`~emps_design.laws.estimators`. ``source = "profile"`` feeds forward what the generator of
-the reference has at the sample, vr half a period later, ar a period later: ``vr + T ar / 2`` and
-``(2 r[k] - 5 r[k-1] + 4 r[k-2] - r[k-3]) / T^2``, off in proportion to T^2.
+Other estimators of v: :mod:`~emps_design.laws.estimators`. ``source = "profile"`` feeds forward the velocity and
+acceleration of the reference generator at the sample, which are vr half a period later and ar a period later:
+``vr + T ar / 2`` and ``(2 r[k] - 5 r[k-1] + 4 r[k-2] - r[k-3]) / T^2``, with an error proportional to T^2.
 
 Then the filters in their order, each by the bilinear transform ``s = 2/T (z - 1)/(z + 1)`` without prewarping:
 ``w0/(s + w0)``, and for a notch ``(s^2 + 2 depth damping w0 s + w0^2)/(s^2 + 2 damping w0 s + w0^2)``; then the limit.
-I takes J, with ``anti_windup = "hold"`` only where the limit does not act. Without a position loop the reference is a
-velocity: ``vr = r``, ``ar = (r[k] - r[k-1]) / T``, ``vc = 0``, share 1. Source: the cascade that servo drives run.
+I is set to J, with ``anti_windup = "hold"`` only while the limit does not act. Without a position loop the reference is
+a velocity: ``vr = r``, ``ar = (r[k] - r[k-1]) / T``, ``vc = 0``, share 1. Source: the usual cascade of servo drives.
 """
 
 import math
@@ -27,21 +27,21 @@ from emps_design.laws.estimators import BACKWARD, WORDS, VelocityEstimator, coef
 from emps_design.laws.law import LawKind, LawTable, velocity_in_words
 from emps_design.tables import AxisTable, Finite, NonNegative, Positive, parameter
 
-# What stands where in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter, then those of a
-# velocity estimator that filters.
+# Places in the kernel's gains; five coefficients b0, b1, b2, a1, a2 follow for each filter, then those of a velocity
+# estimator with a filter.
 RATE, TAPS, POSITION, EVERY, PROPORTIONAL, INTEGRAL, IP, SHARE, ACCELERATION, COULOMB = range(10)
 PROFILE, FOLLOWS_VELOCITY, HOLD, FILTERS, COEFFICIENTS = range(10, 15)
-# And in its memory; two numbers follow for each filter, then the states of the estimator.
-Q1, Q2, R1, R2, R3, WANTED, INTEGRATOR, FILTERED = range(8)
+# Places in its memory; two numbers follow for each filter, then the states of the estimator.
+Q1, Q2, R1, R2, R3, VELOCITY_COMMAND, INTEGRATOR, FILTERED = range(8)
 
 
 def cascade(k, reference, q, f_ext, limit, gains, memory):
     """Command of the law at sample k."""
     if k == 0:
         memory[Q1] = memory[Q2] = q
-        # At rest: a position reference has been where it is, a velocity reference has been 0.
+        # At rest before the first sample: a position reference is constant, a velocity reference is 0.
         memory[R1] = memory[R2] = memory[R3] = 0.0 if gains[FOLLOWS_VELOCITY] > 0.0 else reference
-        memory[WANTED] = memory[INTEGRATOR] = 0.0
+        memory[VELOCITY_COMMAND] = memory[INTEGRATOR] = 0.0
     rate = gains[RATE]
     if gains[TAPS] > 0.0:
         v = 0.5 * (q - memory[Q2]) * rate
@@ -69,11 +69,11 @@ def cascade(k, reference, q, f_ext, limit, gains, memory):
             vr += 0.5 * (reference - 2.0 * memory[R1] + memory[R2]) * rate
             ar += (reference - 3.0 * memory[R1] + 3.0 * memory[R2] - memory[R3]) * rate * rate
         if k % int(gains[EVERY]) == 0:
-            memory[WANTED] = gains[POSITION] * (reference - q)
+            memory[VELOCITY_COMMAND] = gains[POSITION] * (reference - q)
     memory[R3] = memory[R2]
     memory[R2] = memory[R1]
     memory[R1] = reference
-    e = memory[WANTED] + gains[SHARE] * vr - v
+    e = memory[VELOCITY_COMMAND] + gains[SHARE] * vr - v
     integral = memory[INTEGRATOR] + gains[INTEGRAL] * e
     w = integral + gains[ACCELERATION] * ar
     if gains[IP] > 0.0:

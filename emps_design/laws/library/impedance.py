@@ -1,16 +1,17 @@
-"""Impedance law without a force sensor: the carriage is to feel like ``M_a qdd + B qd + K (q - q_0) = tau_e``.
+"""Impedance law without a force sensor: the target behaviour is ``M_a qdd + B qd + K (q - q_0) = tau_e``.
 
 With ``r = Mh/M_a`` and hats for the estimates of mass and friction, the force tau_e of the hand is observed by (29) and
-answered by (28), K and q_0 kept as in (27) derived:
+fed back by (28), with K and q_0 as in (27) derived:
 
     tau_eh = Mh a_f + Fh_v v + c Fh_c sign(v) - kappa tau_f
     tau    = (r - 1) tau_eh + Fh_v v - r B (v - v_0) + c Fh_c sign(v) - r K (q - q_0)
 
-``a_f`` and ``tau_f`` are acceleration and motor force behind first-order low-passes; ``kappa`` 1 is (30) derived, 2 as
-printed, which with a reference velocity v_0 also has Fh_v (v - v_0) of (27) as printed. q_0 moves with v_0. The motor
-force is not wired to the controller: the law takes it from the current loop's own model,
-``tau[k+1] = e tau[k] + (1 - e) G_tau u[k]`` with ``e = exp(-T/T_c)``, exact while the drive applies the command. What
-the axis follows is q_0, of use only with a stiffness. Source: section IV of the paper, (24) to (30), after Hogan.
+``a_f`` and ``tau_f`` are acceleration and motor force after first-order low-passes; ``kappa`` is 1 for (30) derived, 2
+as printed, which with a reference velocity v_0 also has Fh_v (v - v_0) of (27) as printed. q_0 moves with v_0. The
+motor force is not measured: the law uses a model of the current loop,
+``tau[k+1] = e tau[k] + (1 - e) G_tau u[k]`` with ``e = exp(-T/T_c)``, exact while the drive applies the command. The
+reference of the axis is q_0, which matters only with a stiffness. Source: section IV of the paper, (24) to (30), after
+Hogan.
 """
 
 import math
@@ -24,24 +25,24 @@ from emps_design.laws.estimators import BACKWARD, TWO_TAP, AnyEstimator, coeffic
 from emps_design.laws.law import FrictionModel, Law, LawKind, LawTable, PlantTables, velocity_in_words
 from emps_design.tables import NonNegative, Positive, parameter
 
-REST = "rest position"  # what the law follows
-# What stands where in the kernel's gains.
+REST = "rest position"  # reference of the law
+# Places in the kernel's gains.
 RATIO, MASS, DAMPING, STIFFNESS, VISCOUS_POSITIVE, VISCOUS_NEGATIVE, COULOMB_POSITIVE, COULOMB_NEGATIVE = range(8)
 KEEP_ACCELERATION, KEEP_CURRENT, CURRENT_FACTOR, FORCE_SENSOR, FORCE_GAIN, KEEP_MOTOR, DELAY, RATE, TAPS = range(8, 17)
 REFERENCE_VELOCITY = 17
-COEFFICIENTS = 18  # and on: those of a velocity estimator that filters
-# And in its memory, before the voltages on their way and the states of that estimator: three encoder readings, what the
-# filters and the model hold.
+COEFFICIENTS = 18  # from here on: those of a velocity estimator with a filter
+# Places in its memory, after three encoder readings: states of the filters and of the model; delayed voltages and the
+# states of the estimator follow.
 SLOW_ACCELERATION, SLOW_MOTOR, MOTOR, WAITING = 3, 4, 5, 6
 
 
 def observed_force(mass, viscous, coulomb, factor, a, v, tau):
-    """The hand's force by (29); ``coulomb`` carries the sign of the motion."""
+    """The force of the hand by (29); ``coulomb`` has the sign of the motion."""
     return mass * a + viscous * v + coulomb - factor * tau
 
 
 def demanded_force(ratio, damping, stiffness, viscous, coulomb, v, away, tau_e, v_0, relative):
-    """The motor force by (27), ``away`` from q_0; ``relative`` 1 has friction on v - v_0 as printed, 0 as derived."""
+    """The motor force by (27) at the distance ``away`` from q_0; ``relative`` is 1 as printed (friction of v - v_0), else 0."""
     force = (ratio - 1.0) * tau_e + (viscous - ratio * damping) * v + coulomb - ratio * stiffness * away
     return force + (ratio * damping - relative * viscous) * v_0
 
@@ -96,7 +97,7 @@ def impedance(k, reference, q, f_ext, limit, gains, memory):
         gains[CURRENT_FACTOR] - 1.0,
     )  # fmt: skip
     u = min(max(tau / gains[FORCE_GAIN], -limit), limit)
-    # The model of the current loop runs on what reaches it: this voltage, or that of some samples ago.
+    # The input of the current-loop model is this voltage, or the delayed one.
     arriving = u
     delay = int(gains[DELAY])
     if delay > 0:

@@ -1,4 +1,4 @@
-"""The inverse dynamic model, compiled: the force that a motion needs, by the effects' own kernels.
+"""The inverse dynamic model, compiled: the force that a motion needs, from the kernels of the effects.
 
 ``tau = (M + inertia) a + F_v v + offset + force + max(0, F_c + dry) s``, s the direction; solved by iteration if a
 kernel reads the motor force.
@@ -31,18 +31,18 @@ def summed(row, q, v, tau, nothing, b, hooks, starts, p):
 
 
 @cached()
-def force_along(q, v, a, direction, own, b, hooks, starts, p, nothing, force):
+def force_along(q, v, a, direction, baseline, b, hooks, starts, p, nothing, force):
     """Fill ``force`` (n,) [N] for the motion ``q``, ``v``, ``a`` and ``direction`` (n,), -1 to 1.
 
-    ``own`` is the baseline of the force, ``b`` the one that the kernels read.
+    ``baseline`` is that of the force, ``b`` the one that the kernels read.
     """
     b_, hooks_, starts_, p_, nothing_ = _place(b), _place(hooks), _place(starts), _place(p), _place(nothing)
     for k in range(q.size):
         tau = 0.0
         for _ in range(PASSES):
-            mass = own[0] + summed(INERTIA, q[k], v[k], tau, nothing_, b_, hooks_, starts_, p_)
-            level = max(0.0, own[2] + summed(DRY, q[k], v[k], tau, nothing_, b_, hooks_, starts_, p_))
-            total = own[1] * v[k] + own[3] + summed(FORCE, q[k], v[k], tau, nothing_, b_, hooks_, starts_, p_)
+            mass = baseline[0] + summed(INERTIA, q[k], v[k], tau, nothing_, b_, hooks_, starts_, p_)
+            level = max(0.0, baseline[2] + summed(DRY, q[k], v[k], tau, nothing_, b_, hooks_, starts_, p_))
+            total = baseline[1] * v[k] + baseline[3] + summed(FORCE, q[k], v[k], tau, nothing_, b_, hooks_, starts_, p_)
             total += mass * a[k] + level * direction[k]
             settled = abs(total - tau) < SETTLED
             tau = total

@@ -1,9 +1,9 @@
 """Plants in parallel: the numbers of many plants in rows, one lane per plant, in the layout of vector instructions.
 
-A kernel that gets a lane in place of an array works on the numbers of one plant; the compiler vectorises a loop over
-the lanes. :func:`step` and :func:`step_again` take the lanes through one hold period of the friction plant
-(:mod:`.friction_period`): all in one vector loop, then each that stops or starts within the period alone. Lanes share
-nothing, so the numbers of a plant do not depend on its neighbours.
+A kernel that gets a lane instead of an array works on the numbers of one plant; the compiler vectorises a loop over the
+lanes. :func:`step` and :func:`step_again` compute one hold period of the friction plant (:mod:`.friction_period`) in
+all lanes: first in one vector loop, then those that stop or start within the period one by one. Lanes are independent,
+so the results of a plant do not depend on its neighbours.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LINE = 8  # numbers in a line of the cache
 
 
 class _Lane(types.Type):
-    """Numbers that stand :data:`LANES` apart."""
+    """Numbers with a stride of :data:`LANES`."""
 
 
 _LANE = _Lane(f"one of {LANES} lanes")
@@ -112,7 +112,7 @@ def of_plant(typingctx, numbers, i):
 
 @inlined
 def step(i, now, after, command, push, period, forward, backward, friction, stops):
-    """Take plant ``i`` through a hold period in which it slides or sticks all the way; return 1 if it does not, else 0.
+    """Step plant ``i`` through a hold period without a stop or start; return 1 if there is one, else 0.
 
     ``now`` and ``after`` are rows of position, velocity and motor force, ``command`` is a row [N], and ``stops`` marks
     the plants for :func:`step_again`. ``push`` [N] and ``forward``, ``backward`` and ``friction``, as :func:`advance`
@@ -129,9 +129,9 @@ def step(i, now, after, command, push, period, forward, backward, friction, stop
 
 @inlined
 def step_again(now, after, command, push, period, forward, backward, friction, t, stops, lost, nothing):
-    """Step each plant that ``stops`` marks and that is not ``lost`` again, alone, through its stops and starts.
+    """Step each plant marked in ``stops`` and not ``lost`` again, one by one, through its stops and starts.
 
-    ``nothing`` are two zeros: no event is recorded. The rest is as in :func:`step`.
+    ``nothing`` are two zeros: no event is recorded. The other arguments are those of :func:`step`.
     """
     (q, v, tau), (q1, v1, tau1) = now, after
     for i in range(LANES):

@@ -1,4 +1,4 @@
-"""An effect that calls its own state a memory of the path: the simulation takes its word for what ``rate`` is."""
+"""An effect that declares ``by_travel``: the simulation relies on it for the form of ``rate``."""
 
 from dataclasses import replace
 
@@ -42,5 +42,5 @@ def test_it_changes_with_travel_alone_and_evenly(name, level, side):
 
 
 def test_a_memory_has_one_state_and_a_force():
-    with pytest.raises(AxisError, match="one own state with a force"):
+    with pytest.raises(AxisError, match="by_travel needs exactly one state and a force"):
         replace(get_effect("stribeck_friction"), solver=Solver(by_travel=True))

@@ -93,9 +93,9 @@ def test_the_environment_names_files(own_file, tmp_path):
             OWN.replace('source="a user"', 'source="a user", channel="air"'),
             "channel 'air', expected one of controller, actuator",
         ),
-        (OWN.replace("regressor=", "expression="), "a regressor and linear parameters come together"),
+        (OWN.replace("regressor=", "expression="), "expected both a regressor and linear parameters, or neither"),
         (OWN.replace("force=force", 'force=force, over="w"'), "over 'w', expected one of v, q, t"),
-        (OWN.replace("force=force", "rate=force"), "states and rate come together"),
+        (OWN.replace("force=force", "rate=force"), "expected both states and a rate, or neither"),
         (OWN.replace("force=force", 'force=force, play="gap"'), "found no parameter 'gap', expected one of cubic"),
     ],
 )
@@ -130,5 +130,5 @@ def test_unknown_names_get_the_nearest():
 
 def test_an_effect_without_a_hook_does_nothing_and_says_so():
     empty = effects.Effect(name="empty", label="", equation="", source="", parameters=())
-    with pytest.raises(AxisError, match="effect empty: it has no hook, expected at least one of force, dry"):
+    with pytest.raises(AxisError, match="effect empty: found no hook, expected at least one of force, dry"):
         empty.contribution({}, np.zeros(4))
