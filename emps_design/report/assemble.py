@@ -1,4 +1,4 @@
-"""From names of files to the page of ``report``: reads the files, makes the design, and assembles the page."""
+"""The command ``report``: reads the files, makes the design, and assembles the page."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ K_E1, WALL, OF_MASS = 0.01, 1e4, 100.0  # (m/s)/N, N/m, kg: defaults of a force 
 
 @dataclass(frozen=True)
 class Report:
-    """A design with the results that its page shows."""
+    """The results of a design, and its page."""
 
     results: DesignResults
     impedance: ImpedanceAssessment | None = None
@@ -51,13 +51,13 @@ class Report:
 
     @property
     def reason(self) -> str:
-        """Which loops are unstable, and what is stable nearby, in one line; empty if all loops are stable."""
+        """The unstable loops and the nearest stable parameters, in one line; empty if all loops are stable."""
         others = (loop.reason for loop in (self.results.force, self.impedance) if loop is not None)
         return "; ".join(reason for reason in (self.results.verdict.reason, *others) if reason)
 
     @property
     def nearest(self) -> dict[str, Any]:
-        """The nearest stable numbers of each unstable loop, by the name of its section in :meth:`to_dict`."""
+        """The nearest stable parameters of each unstable loop, by the name of its section in :meth:`to_dict`."""
         verdict, force, impedance = self.results.verdict, self.results.force, self.impedance
         nearest: dict[str, Any] = {}
         if verdict.reason:
@@ -96,7 +96,7 @@ class Report:
 
 @dataclass(frozen=True)
 class _Basis:
-    """The axis that the loops are designed on, and what the record says of it."""
+    """The axis of the design, and the results of the record."""
 
     axis: Axis
     identifications: tuple[Identification, ...] = ()
@@ -109,9 +109,9 @@ def assemble_report(request: ReportRequest) -> Report:
     """Design the loops of an axis, or of the axis identified from a record, and return the page with the results.
 
     ``axis``: an :class:`Axis`, a TOML file or an embedded machine; ``record``: a :class:`Record` or its file.
-    ``design_on``: "record" takes the mechanics identified from the record (the default if no axis is named), "axis"
-    those of the axis. ``record_axis`` is the axis of the record if that is another: the record is identified with its
-    drive, and left out if its units differ. ``model`` of friction and ``record_filter`` are those of ``identify``.
+    ``design_on``: "record" uses the mechanics identified from the record (the default if no axis is named), "axis"
+    those of the axis. ``record_axis`` is the axis of the record if that is another one: the record is identified with
+    its drive, and not shown if its units differ. ``model`` of friction and ``record_filter`` are those of ``identify``.
     ``crossover`` or ``bandwidth`` [rad/s], ``phase_margin_deg`` [deg]; ``retune`` meets the specification in the
     sampled loop; ``structure`` and ``filters`` default to those of the controller. ``frf`` is the file of a measured
     response, shown beside the model as the first picture.
@@ -129,13 +129,13 @@ def assemble_report(request: ReportRequest) -> Report:
     from emps_design.control.velocity.design import check_specification
 
     check_specification(request.crossover, request.bandwidth, request.phase_margin_deg)  # before the record is read
-    tell, inputs = request.progress, _inputs(request)
+    progress, inputs = request.progress, _inputs(request)
     response = _response(request, inputs)
     basis = _basis(request, inputs)
     axis, notes = basis.axis, basis.notes
-    tell("designing the loops", 0.4)
-    around, taken = _force_loop(axis, request)
-    notes += (f"{axis.units.word('force').capitalize()} loop: {taken}, not asked for.",) if taken else ()
+    progress("designing the loops", 0.4)
+    around, default = _force_loop(axis, request)
+    notes += (f"{axis.units.word('force').capitalize()} loop: {default}, because none was given.",) if default else ()
     velocity = _velocity_loop(axis, request)
     measured = None
     if response is not None:
@@ -144,15 +144,15 @@ def assemble_report(request: ReportRequest) -> Report:
 
         measured = response_section(ResponseComparison(response, axis))
     parts, assessed = basis.sections, None
-    said: dict[str, Any] = {"notes": notes}
+    remarks: dict[str, Any] = {"notes": notes}
     if request.apparent is not None:
         from emps_design.report.impedance import impedance_section
 
-        tell("trying the impedance law", 0.45)
+        progress("simulating the impedance law", 0.45)
         assessed = _impedance_law(axis, request)
         parts += (impedance_section(assessed),)
-        said = _judged(assessed)
-        said["notes"] = notes + said["notes"]
+        remarks = _remarks_on(assessed)
+        remarks["notes"] = notes + remarks["notes"]
     loops: tuple[NestedLoop, ...] = ()
     if axis.controller.kind != NONE and get_law(axis.controller.kind).loops:
         from emps_design.control.controller import controller_margins
@@ -161,15 +161,15 @@ def assemble_report(request: ReportRequest) -> Report:
 
         loops = nested_loops(axis)
         parts += (controller_section(controller_margins(axis)),)
-    results = design_results(velocity, *around, inputs=inputs, parts=parts, measured=measured, **said)
-    tell("drawing", 0.6)
+    results = design_results(velocity, *around, inputs=inputs, parts=parts, measured=measured, **remarks)
+    progress("drawing", 0.6)
     warnings = [warning for fit in basis.identifications for warning in fit.warnings]
     warnings += [*results.verdict.warnings, *velocity.warnings]
     warnings += results.force.warnings if results.force else ()
     warnings += assessed.to_dict()["warnings"] if assessed else []
     report = Report(results, assessed, basis.identifications, tuple(dict.fromkeys(warnings)), loops)
     _ = report.page
-    tell("writing", 0.95)
+    progress("writing", 0.95)
     return report
 
 
@@ -204,8 +204,8 @@ def _basis(request: ReportRequest, inputs: dict[str, str | None]) -> _Basis:
     if request.record is None:
         return _Basis(axis)
     if made_on is not None and made_on.units != axis.units:
-        left_out = f"The record was made on {made_on.name}, an axis with other units: this page leaves it out."
-        return _Basis(axis, notes=(left_out,))
+        not_shown = f"The record was made on {made_on.name}, an axis with other units, and is not on this page."
+        return _Basis(axis, notes=(not_shown,))
     from emps_design.identification.chains import DEFAULT_CHAIN
     from emps_design.identification.identify import identify
     from emps_design.importing import import_record
@@ -213,16 +213,16 @@ def _basis(request: ReportRequest, inputs: dict[str, str | None]) -> _Basis:
     from emps_design.report.record import record_section
 
     request.progress("reading the record", 0.05)
-    own = axis if made_on is None or request.base == "record" else made_on
+    record_axis = axis if made_on is None or request.base == "record" else made_on
     record, is_read = request.record, isinstance(request.record, Record)
-    record = record if is_read else import_record(record, own)
+    record = record if is_read else import_record(record, record_axis)
     inputs[record.name if is_read else Path(request.record).name] = record.sha256
     request.progress("identifying", 0.15)
     models = (request.model, *(name for name in MODELS if name != request.model))
     identifications = tuple(
-        identify(record, own, model=name, filter=request.record_filter or DEFAULT_CHAIN) for name in models
+        identify(record, record_axis, model=name, filter=request.record_filter or DEFAULT_CHAIN) for name in models
     )
-    section, first = record_section(record, identifications, own), identifications[0]
+    section, first = record_section(record, identifications, record_axis), identifications[0]
     if request.base == "record":
         axis = first.to_axis()
         note = (
@@ -230,8 +230,10 @@ def _basis(request: ReportRequest, inputs: dict[str, str | None]) -> _Basis:
             f"the sampling of the axis {axis.name}."
         )
         return _Basis(axis, identifications, (section,), (note,))
-    shown = "compared with it below" if own.name == axis.name else f"identified below, with the drive of {own.name}"
-    note = f"The gains are for the axis {axis.name} as it is written; {first.record} is {shown}."
+    shown = f"identified below, with the drive of {record_axis.name}"
+    if record_axis.name == axis.name:
+        shown = "compared with it below"
+    note = f"The gains are for the axis {axis.name} as in its file; {first.record} is {shown}."
     return _Basis(axis, identifications, (section,), (note,))
 
 
@@ -258,20 +260,20 @@ def _impedance_law(axis: Axis, request: ReportRequest) -> ImpedanceAssessment:
     return assess_impedance(axis, *request.apparent, request.mismatch, request.filter)
 
 
-def _judged(assessed: ImpedanceAssessment) -> dict[str, Any]:
-    """What the summary says of an impedance law: as a note, as a caution, or as what stops it."""
+def _remarks_on(assessed: ImpedanceAssessment) -> dict[str, Any]:
+    """Remarks of the summary on an impedance law: ``notes``, ``cautions``, and ``stops`` for one that must not run."""
     from emps_design.comanipulation.study import CALM
     from emps_design.report.impedance import refusal
 
     headline = assessed.headline
-    said = {"notes": (), "cautions": (), "stops": () if assessed.stable else (refusal(assessed),)}
+    remarks = {"notes": (), "cautions": (), "stops": () if assessed.stable else (refusal(assessed),)}
     if assessed.verdict in CALM:
-        return {**said, "notes": (f"Impedance law, {headline}.",)}
-    return {**said, "cautions": (f"impedance law, {headline}",) if assessed.stable else ()}
+        return {**remarks, "notes": (f"Impedance law, {headline}.",)}
+    return {**remarks, "cautions": (f"impedance law, {headline}",) if assessed.stable else ()}
 
 
 def usual_force_loop(axis: Axis) -> tuple[float, float]:
-    """Return a first force gain [(m/s)/N] and wall [N/m], scaled with the mass of ``axis`` in powers of ten.
+    """Return a default force gain [(m/s)/N] and wall [N/m], scaled with the mass of ``axis`` in powers of ten.
 
     >>> from emps_design.machines import machine
     >>> usual_force_loop(machine("emps2018"))
@@ -282,17 +284,17 @@ def usual_force_loop(axis: Axis) -> tuple[float, float]:
 
 
 def _force_loop(axis: Axis, request: ReportRequest) -> tuple[tuple[float | None, float, float], str]:
-    """Return gain, hand and wall of the force loop, and in words which of them was a default; None for no force loop.
+    """Return gain, hand and wall of the force loop, and the default among them in words; gain None: no force loop.
 
-    A missing gain is that of the axis, or else the usual one.
+    A missing gain is that of the axis, or else the default.
     """
-    hand, environment, own = request.hand, request.environment, axis.controller.k_e1
-    if request.k_e1 is None and hand is None and environment is None and own is None:
+    hand, environment, of_axis = request.hand, request.environment, axis.controller.k_e1
+    if request.k_e1 is None and hand is None and environment is None and of_axis is None:
         return (None, 0.0, 0.0), ""
     usual, wall = usual_force_loop(axis)
-    gain, taken = own if request.k_e1 is None else request.k_e1, ""
+    gain, default = of_axis if request.k_e1 is None else request.k_e1, ""
     if gain is None:
-        gain, taken = usual, f"a gain of {quantity(usual, '(m/s)/N', 4, axis.units)} was taken"
+        gain, default = usual, f"a gain of {quantity(usual, '(m/s)/N', 4, axis.units)} was assumed"
     elif hand is None and environment is None:
-        environment, taken = wall, f"a wall of {quantity(wall, 'N/m', 4, axis.units)} was taken"
-    return (gain, hand or 0.0, environment or 0.0), taken
+        environment, default = wall, f"a wall of {quantity(wall, 'N/m', 4, axis.units)} was assumed"
+    return (gain, hand or 0.0, environment or 0.0), default

@@ -127,17 +127,17 @@ def _specification(velocity: VelocityLoopDesign) -> str:
         if velocity.retuned_at
         else ""
     )
-    return "Asked for: " + ", ".join(parts) + retuned
+    return "Specification: " + ", ".join(parts) + retuned
 
 
 def _stops(results: DesignResults) -> list[Line]:
-    """Return what is said of unstable loops, which comes before any margin."""
+    """Return the lines on unstable loops, which come before any margin."""
     velocity, force, units = results.velocity, results.force, results.velocity.axis.units
     stops = []
     if not velocity.sampled.stable:
         stops.append(
             f"With these gains the sampled velocity loop is unstable. {sentence_of(velocity.reason)} The margins of "
-            "the continuous loop below say nothing about this drive: sample faster, remove delay, or ask for less."
+            "the continuous loop below do not apply to this drive: sample faster, remove delay, or specify less."
         )
     elif not results.verdict.stable:
         stops.append(sentence_of(results.verdict.reason))
@@ -170,7 +170,7 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
                 f"plant input, sampled, at {number(sampled.margins.crossover)} rad/s",
             ),
             (
-                "delay it still bears",
+                "delay margin",
                 quantity(sampled.margins.delay_margin, "s", 3),
                 f"{number(sampled.margins.delay_margin_samples, 3)} samples of {quantity(period, 's', 3)}",
             ),
@@ -179,8 +179,8 @@ def _summary(results: DesignResults) -> tuple[Any, ...]:
         facts.append(("margins on the drive", "none", "the sampled loop is unstable"))
     blocks.append(Facts(tuple(facts)))
     blocks += [Line(note) for note in results.notes]
-    own = [message for message in velocity.warnings if message.code != "unstable"]
-    warnings = [*results.cautions, *results.verdict.warnings, *own]
+    of_loop = [message for message in velocity.warnings if message.code != "unstable"]
+    warnings = [*results.cautions, *results.verdict.warnings, *of_loop]
     return (*blocks, *warning_lines(list(dict.fromkeys(warnings))))
 
 

@@ -1,6 +1,6 @@
-"""The page of ``diagnose``: the answer in plain words, then where, before and after, what was tried, what to do.
+"""The page of ``diagnose``: the result in plain words, places, before and after, candidates, remedies.
 
-It includes the comparison of a velocity loop designed on both models, and the experiment to record next.
+It includes a comparison of velocity loops designed on both models, and the experiment to record next.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ if TYPE_CHECKING:
 CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg: the specification of the paper's velocity loop
 
 VERDICTS = {
-    "named": ("warning", "What is missing from the model has a name"),
-    "parameters-only": ("good", "Nothing is missing: only the numbers of the axis file are off"),
-    "partly-named": ("warning", "Part of what is missing has a name, and something is left that has none"),
+    "named": ("warning", "The missing effects were identified"),
+    "parameters-only": ("good", "Nothing is missing: only the parameters of the axis file are wrong"),
+    "partly-named": ("warning", "Some of the missing effects were identified, but no effect explains the rest"),
     "nothing-missing": ("good", "Nothing is missing from the model"),
-    "ambiguous": ("warning", "Something is missing, and these data cannot tell which of several effects it is"),
+    "ambiguous": ("warning", "An effect is missing, but these data do not show which of several it is"),
     "unnamed": ("warning", "Something is missing that no effect of the library explains"),
 }
 
@@ -100,8 +100,8 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
     units = after.units
     try:
         old, new = (design_velocity_loop(axis, CROSSOVER, phase_margin_deg=PHASE_MARGIN) for axis in (before, after))
-        kept = replace(old, axis=after).sampled
-        expected, really, better = old.sampled.margins, kept.margins, new.sampled.margins
+        expected, actual = old.sampled.margins, replace(old, axis=after).sampled.margins
+        better = new.sampled.margins
     except EmpsError as error:
         return [_row("velocity loop", None, None, str(error))]
     specification = f"for {number(CROSSOVER, 3)} rad/s and {number(PHASE_MARGIN, 2)}°"
@@ -109,12 +109,13 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
         _row("k_v1", quantity(old.k_v1, "V/(m/s)", 4, units), quantity(new.k_v1, "V/(m/s)", 4, units), specification),
         _row("t_v", quantity(old.t_v, "s"), quantity(new.t_v, "s"), specification),
     ]
-    if not really.stable:
-        now = "stable" if expected.stable else "unstable"
-        rows.append(_row("the old gains", now, "unstable", "designed on the model as it was, run on the better one"))
+    if not actual.stable:
+        predicted = "stable" if expected.stable else "unstable"
+        note = "designed on the original model, evaluated on the extended one"
+        rows.append(_row("the old gains", predicted, "unstable", note))
     else:
-        phases = angle(expected.phase_margin_deg), angle(really.phase_margin_deg)
-        note = "what was expected, and what the better model says they have"
+        phases = angle(expected.phase_margin_deg), angle(actual.phase_margin_deg)
+        note = "as designed, and on the extended model"
         rows.append(_row("phase margin of the old gains", *phases, note))
     if expected.stable and better.stable:
         for name, shown in (
@@ -123,13 +124,13 @@ def design_change(before: Axis, after: Axis) -> list[dict[str, Any]]:
             ("gain margin, sampled", lambda m: ratio(m.gain_margin)),
         ):
             rows.append(_row(name, shown(expected), shown(better), "each with its own gains"))
-    note = "beside the effects found" if after.effects else ""
+    note = "in addition to the effects found" if after.effects else ""
     for name, key, unit in (
         ("Coulomb friction to compensate", "coulomb", "N"),
         ("viscous friction", "viscous", "N/(m/s)"),
     ):
-        was, now = (quantity(getattr(axis.mechanics, key), unit, 4, units) for axis in (before, after))
-        rows.append(_row(name, was, now, note))
+        numbers = [quantity(getattr(axis.mechanics, key), unit, 4, units) for axis in (before, after)]
+        rows.append(_row(name, numbers[0], numbers[1], note))
     return rows
 
 
@@ -138,15 +139,15 @@ def _row(quantity: str, before: str | None, after: str | None, note: str) -> dic
 
 
 def design_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Section | None:
-    """Return the section that compares the design on both models, or None where nothing was found."""
+    """Return the section that compares the design on both models, or None without findings."""
     axis, parameters = getattr(diagnosis, "axis", None), document.get("parameters")
     if axis is None or not parameters or not document["findings"]:
         return None
     rows = design_change(axis_before(axis, parameters), axis)
     return Section(
-        "What the better model changes in the design",
+        "Changes in the design",
         Table(
-            ["quantity", "with the model as it was", "with the better model", "remark"],
+            ["quantity", "with the original model", "with the extended model", "remark"],
             [[row["quantity"], row["before"], row["after"], row["note"]] for row in rows],
             "The same specification, designed on both models.",
             missing=NOTHING,
@@ -166,8 +167,8 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any, units:
         blocks.append(
             Picture(
                 reference_figure(experiment.t, experiment.q_ref),
-                f"The reference that would tell, {words(chosen['program'])}, {experiment.t[-1]:.0f} s. It begins and "
-                "ends at rest where the record began.",
+                f"The reference of the experiment, {words(chosen['program'])}, {experiment.t[-1]:.0f} s. It starts and "
+                "ends at rest at the first position of the record.",
                 "What to record",
             )
         )
@@ -187,13 +188,13 @@ def experiment_section(chosen: Mapping[str, Any] | None, experiment: Any, units:
         between = " and ".join(words(name) for name in chosen["between"])
         blocks.append(
             Table(
-                ["program", "what it does", f"apart [{units.unit('N')} rms]", "apart [std of the noise]"],
+                ["program", "motion", f"difference [{units.unit('N')} rms]", "difference [std of the noise]"],
                 [
                     [words(row["program"]), row["text"], number(row["distance"]), number(row["over_noise"])]
                     for row in chosen["menu"]
                 ],
-                f"How far apart {between} are on each program that stays within what the records show, fitted to one "
-                f"another; {quantity(chosen['needed'], '', 2)} standard deviations decide.",
+                f"Difference of {between}, fitted to one another, on each program within the range of the records; "
+                f"{quantity(chosen['needed'], '', 2)} standard deviations are needed.",
             )
         )
     return Section("What to record next", *blocks) if blocks else None
@@ -262,17 +263,17 @@ def _where_caption(diagnosis: Diagnosis, findings: Sequence[Mapping[str, Any]], 
     view = diagnosis.views[0]
     texts = (f.get("where", {}).get("text") for f in findings)
     places = "; ".join(dict.fromkeys(text for text in texts if text and text != EVERYWHERE))
-    where = f" What was found acts {places}." if places else ""
-    models = ", before (model as it was, refitted) and after" if findings else " that the refitted model leaves"
+    where = f" The effects found act {places}." if places else ""
+    models = ", before (original model, refitted) and after" if findings else " of the refitted model"
     return f"Residual {units.word('force')} over {view.quantity}{models}.{where}"
 
 
 def _trace_caption(name: str, simulated: str, extended: bool, units: Units) -> str:
-    models = "two models make" if extended else "the refitted model makes"
-    remainder = "the extended model leaves" if extended else "it leaves"
+    models = "by two models" if extended else "by the refitted model"
+    model = "the extended model" if extended else "the model"
     return (
-        f"Record {name}: measured {units.word('force')}, and what {models} of it {SIMULATED[simulated]}. Look at the "
-        f"lower picture: what {remainder} should look like noise."
+        f"Record {name}: {units.word('force')} measured and simulated {models}, {SIMULATED[simulated]}. In the lower "
+        f"picture the residual of {model} should look like noise."
     )
 
 
@@ -281,7 +282,7 @@ def _gap_facts(
 ) -> Facts:
     """Return the force error before and after, and with the unknown force if that is of one kind.
 
-    ``whole``: what was held out, if anything, is a whole record.
+    ``whole``: the held-out data, if any, are a whole record.
     """
     held_out = gap.get("holdout")
     nothing_added = held_out and held_out["baseline"] == held_out["extended"]
@@ -296,15 +297,15 @@ def _gap_facts(
     items = [(name, quantity(value, unit, 3, units), f"{word}, {simulated}") for name, value in errors]
     if unexplained.get("kind"):
         remaining_force = quantity(unexplained["kind_leaves"], unit, 3, units)
-        remark = f"like {unexplained['kind']}; on any record at most"
-        items.append((f"with the unknown {force} too", remaining_force, remark))
+        remark = f"like {unexplained['kind']}; the larger of all records"
+        items.append((f"with the unknown {force}", remaining_force, remark))
     items.append(("noise floor", quantity(floor, unit, 3, units), gap.get("floor_from", "")))
     if before is not None and after is not None and floor is not None and before > max(floor, after):
         items.append(
             (
-                "of the gap closed",
+                "share of the gap closed",
                 closed_share(before, after, floor),
-                f"of the {word}, in mean square over the floor; 100 % reaches it",
+                f"of the {word}, mean square above the floor",
             )
         )
     return Facts(tuple(items))

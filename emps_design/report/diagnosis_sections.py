@@ -107,7 +107,7 @@ def _draw_view(axes: Any, view: Any) -> None:
         center = np.zeros_like(x)
         low = center if view.quantity in SPECTRAL else center - view.band
         axes.fill_between(x, low, center + view.band, color="#9CA3AF", alpha=0.4, linewidth=0, label="healthy record")
-    # If nothing was added there is one model, and one line.
+    # Without findings there is one model, and one line.
     both = not np.array_equal(view.before, view.after, equal_nan=True)
     for y, color, label in ((view.before, RED, "before" if both else "model"), (view.after, BLUE, "after"))[: 1 + both]:
         xs, ys = thin(x, y)
@@ -127,12 +127,12 @@ def _draw_view(axes: Any, view: Any) -> None:
 
 
 def before_after_figure(diagnosis: Any) -> Figure:
-    """Draw the confirming record: force measured and simulated, and the residual of each model."""
+    """Draw the held-out or training record: force measured and simulated, and the residual of each model."""
     trace = diagnosis.trace
     t = np.asarray(trace.t)
     used = np.asarray(trace.used)
-    miss = np.where(used, np.asarray(trace.measured) - np.asarray(trace.baseline), 0.0)
-    low, high = trace.window or _window(t, miss)
+    residual = np.where(used, np.asarray(trace.measured) - np.asarray(trace.baseline), 0.0)
+    low, high = trace.window or _window(t, residual)
     inside = (t >= low) & (t <= high)
     models = [(trace.baseline, RED, "baseline model"), (trace.extended, BLUE, "extended model")]
     if np.array_equal(trace.baseline, trace.extended):
@@ -146,8 +146,8 @@ def before_after_figure(diagnosis: Any) -> Figure:
     named: dict[str, Any] = {"legend": "upper right", "room": 0.22}
     title = f"Force, {low:.3g} s to {high:.3g} s"
     top = Axes(tuple(forces), "time [s]", "motor force [N]", title, columns=3, **named)
-    left = "measured − simulated [N]", "What each model leaves"
-    return drawn(Grid.of(top, Axes(tuple(errors), "time [s]", *left, columns=2, **named), height=5.0, share_x=False))
+    bottom = Axes(tuple(errors), "time [s]", "measured − simulated [N]", "Residual of each model", columns=2, **named)
+    return drawn(Grid.of(top, bottom, height=5.0, share_x=False))
 
 
 def _window(t: np.ndarray, error: np.ndarray) -> tuple[float, float]:
@@ -164,12 +164,12 @@ def candidates_figure(candidates: Sequence[Mapping[str, Any]], gap: Mapping[str,
     if not fitted:
         tried = [c for c in candidates if c.get("statistic") is not None][:12]
         threshold = max((c["threshold"] for c in tried if c.get("threshold") is not None), default=None)
-        lines = [(threshold, RED, "--", "to beat")]
-        return _bars(tried, [c["statistic"] for c in tried], "statistic of the first guess", "", None, lines)
+        lines = [(threshold, RED, "--", "threshold")]
+        return _bars(tried, [c["statistic"] for c in tried], "statistic of the first estimate", "", None, lines)
     shown, baseline = fitted[:12], (gap.get("train") or {}).get("baseline")
     limit = 1.5 * max([baseline or 0.0, *(c["gap"] for c in shown if c.get("accepted"))]) or None
-    lines = [(baseline, RED, "--", "model as it was"), (gap.get("floor"), GREY, ":", "noise floor")]
-    return _bars(shown, [c["gap"] for c in shown], "force error left [N rms]", f" {gap.get('unit', 'N')}", limit, lines)
+    lines = [(baseline, RED, "--", "original model"), (gap.get("floor"), GREY, ":", "noise floor")]
+    return _bars(shown, [c["gap"] for c in shown], "force error [N rms]", f" {gap.get('unit', 'N')}", limit, lines)
 
 
 def _bars(
@@ -208,25 +208,25 @@ def _label(finding: Mapping[str, Any]) -> str:
 
 
 def _base_unit(finding: Mapping[str, Any], name: str, entry: Mapping[str, Any]) -> str:
-    """The unit of a parameter on a linear axis, from which the page chooses one that is easy to read."""
+    """The unit of a parameter on a linear axis, from which the page chooses a readable one."""
     try:
         parameters = get_effect(kind_of(finding["effect"])).parameters
-    except EmpsError:  # of an effect that is not known here
+    except EmpsError:  # the effect is not registered here
         return str(entry.get("unit", ""))
     return next((parameter.unit for parameter in parameters if parameter.name == name), str(entry.get("unit", "")))
 
 
 def in_plain_words(document: Mapping[str, Any]) -> str:
-    """Return the answer for a reader who is no control engineer: what was found, and how much it explains."""
+    """Return the result for readers who are not control engineers: what was found, and how much it explains."""
     findings, unexplained = document["findings"], document.get("unexplained")
     gap = document["gap"].get("holdout") or document["gap"]["train"]
     before, after, floor = gap.get("baseline"), gap.get("extended"), document["gap"].get("floor")
     if document["verdict"] in ("nothing-missing", "parameters-only"):
-        return "The machine does what its model says, but for noise; nothing has to be added to the model."
+        return "The machine behaves as its model predicts, except for noise; nothing has to be added to the model."
     if not findings:
         return (
-            "The machine does not do what its model says, and none of the causes that were tried explains it. "
-            "More measuring is needed before anything is changed."
+            "The machine does not behave as its model predicts, and none of the tested causes explains the difference. "
+            "More measurements are needed before anything is changed."
         )
     names = [inside(_label(finding)) for finding in findings]
     listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
@@ -236,11 +236,14 @@ def in_plain_words(document: Mapping[str, Any]) -> str:
         share = closed_share(before, after, floor)  # the refitted baseline contributes as well
         closed = f" With {whom} the corrected model explains {share} of the difference."
     cause = "one cause has" if len(names) == 1 else f"{len(names)} causes have"
-    rest = " Something is left that nothing known explains; it needs another measurement." if unexplained else ""
+    rest = " No known cause explains the rest; it needs another measurement." if unexplained else ""
     other = "A second record" if document.get("held_out", {}).get("time") is None else "A part of the record"
     confirmed = all(finding.get("confirmed") for finding in findings)
-    sure = f" {other} that played no part in finding {whom} agrees." if confirmed else ""
-    return f"The machine does not quite do what its model says, and {cause} been found: {listed}.{closed}{sure}{rest}"
+    agreement = f" {other} that was not used to find {whom} agrees." if confirmed else ""
+    return (
+        f"The machine does not behave exactly as its model predicts, and {cause} been found: "
+        f"{listed}.{closed}{agreement}{rest}"
+    )
 
 
 def closed_share(before: float, after: float, floor: float) -> str:
@@ -253,7 +256,7 @@ def closed_share(before: float, after: float, floor: float) -> str:
 
 
 def findings_section(findings: Sequence[Mapping[str, Any]], units: Units) -> Section | None:
-    """Return the section on the effects found: what speaks for each beside the summary, and their parameters."""
+    """Return the section on the effects found: the evidence for each, and their parameters."""
     if not findings:
         return None
     force, newton = units.word("force"), units.unit("N")
@@ -283,13 +286,13 @@ def findings_section(findings: Sequence[Mapping[str, Any]], units: Units) -> Sec
         Table(
             ["effect", "p-value", "acts in the", f"{force} up to [{newton}]", "remark"],
             evidence,
-            f"Evidence, in the order of the findings; the {force} is what the effect itself contributes.",
+            f"Evidence, in the order of the findings; the {force} is that of the effect itself.",
         ),
         Table(
             ["effect", "parameter", "value ± std", "95 % interval", "belongs to"],
             rows,
-            "Parameters of what was found. A number that belongs to one record (the phase of a ripple, the time of "
-            "an event) is fitted anew on every other record.",
+            "Parameters of the effects found. A parameter that belongs to one record (the phase of a ripple, the time "
+            "of an event) is fitted again on every other record.",
         )
         if rows
         else None,
@@ -305,9 +308,9 @@ def unexplained_section(document: Mapping[str, Any], units: Units) -> Section | 
         "What no effect explains",
         Picture(
             map_figure(missing["map"]),
-            f"Mean {units.word('force')} the model misses over position and velocity, away from reversals; white where "
-            f"the record does not go. {sentence_of(missing['text'])} Rows alike: it depends on position; columns "
-            "alike: on velocity.",
+            f"Mean {units.word('force')} that the model lacks, over position and velocity, away from reversals; white "
+            f"where there are no samples. {sentence_of(missing['text'])} Equal rows mean that it depends on position, "
+            "equal columns on velocity.",
             f"The missing {units.word('force')}",
         ),
     )
@@ -333,7 +336,7 @@ def closest_section(document: Mapping[str, Any], units: Units) -> Section | None
             for part, record in (("train", "training"), ("holdout", "held out"))
             if part in closest[key]
         ]
-        caption = "The model for a simulation or a feed-forward that is to come close; for a cause, the one above."
+        caption = "Use this model for accurate simulation or feed-forward; the named model above for causes."
         newton = units.unit("N")
         models = (f"{name} [{newton} rms]" for name in ("named model", "closest model", "floor"))
         headers = [f"{units.word('force')} error", "record", *models]
@@ -350,30 +353,30 @@ def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, A
     rows = [
         [
             c.get("label") or words(c["effect"]),
-            "accepted" if c.get("accepted") else "lost",
+            "accepted" if c.get("accepted") else "rejected",
             *(number(c.get(name)) for name in ("gap", "statistic", "threshold")),
             c.get("note", ""),
         ]
         for c in candidates
     ]
     document = diagnosis.to_dict()
-    refitted = "refitted in closed loop on the fitting part; the statistic must exceed what is to beat: the largest "
-    refitted += "that healthy records give, or the share of the cost that a finding must be worth"
+    refitted = (
+        "refitted in closed loop on the fitting part; the statistic must exceed the threshold: the largest value "
+    )
+    refitted += "on healthy records, or the required share of the cost"
     if "band_hz" in document:
-        refitted = (
-            "on strokes that took no part in the fit; the statistic is how many times larger the error is without"
-        )
+        refitted = "on held-out strokes; the statistic is the ratio of the error without the effect to that with it"
     return Section(
         "Candidates",
         Picture(
             candidates_figure(candidates, document["gap"]),
             _candidates_caption(
-                candidates, "predicting what was held out" if "band_hz" in document else IN_LOOP, units.word("force")
+                candidates, "in predictions of held-out data" if "band_hz" in document else IN_LOOP, units.word("force")
             ),
-            "What was tried",
+            "Candidates",
         ),
         Table(
-            ["candidate", "decision", f"gap left [{units.unit('N')}]", "statistic", "to beat", "why"],
+            ["candidate", "decision", f"gap [{units.unit('N')}]", "statistic", "threshold", "remark"],
             rows,
             f"The best candidates, {refitted}.",
         ),
@@ -383,12 +386,12 @@ def candidates_section(diagnosis: Diagnosis, candidates: Sequence[Mapping[str, A
 def _candidates_caption(candidates: Sequence[Mapping[str, Any]], how: str, force: str) -> str:
     if all(candidate.get("gap") is None for candidate in candidates):
         return (
-            "No candidate explained enough to be fitted. The bars are the statistics of their first guesses; the "
-            "dashed line is what they had to beat."
+            "No candidate explained enough to be fitted. The bars are the statistics of the first estimates; the "
+            "dashed line is the threshold."
         )
     return (
-        f"{force.capitalize()} error left by each candidate {how}; shorter is better. The dashed line is the "
-        "model as it was, the dotted line the noise floor. A candidate near the dashed line explains nothing."
+        f"{force.capitalize()} error with each candidate {how}; shorter is better. The dashed line is the original "
+        "model, the dotted line the noise floor. A candidate near the dashed line explains nothing."
     )
 
 
@@ -404,7 +407,7 @@ def parameters_section(document: Mapping[str, Any], units: Units) -> Section | N
     return Section(
         "Baseline parameters",
         Table(
-            ["parameter", "axis file", "refitted, nothing added", "with what was missing"],
+            ["parameter", "axis file", "refitted alone", "refitted with the effects"],
             [
                 [
                     units.words(words(name)),
@@ -414,7 +417,7 @@ def parameters_section(document: Mapping[str, Any], units: Units) -> Section | N
                 ]
                 for name, entry in parameters.items()
             ],
-            "The same four numbers before and after: a missing effect biases what stands in for it.",
+            "The baseline parameters before and after: a missing effect biases the parameters that compensate for it.",
         ),
     )
 
@@ -447,8 +450,8 @@ def gap_section(document: Mapping[str, Any], units: Units) -> Section:
                 *(f"{name} [{newton} rms]" for name in ("baseline", "extended", "floor")),
             ],
             rows,
-            "Both models have their baseline parameters refitted to the training record; the held-out part could only "
-            "veto. In brackets 95 % intervals, from pieces of each error redrawn.",
+            "Both models have baseline parameters refitted to the training record; held-out data are never fitted. In "
+            "brackets 95 % intervals, by a block bootstrap of each error.",
         ),
     )
 
@@ -460,16 +463,16 @@ def views_section(diagnosis: Diagnosis, units: Units) -> Section | None:
     spectrum = diagnosis.to_dict().get("spectrum_over_time")
     band = any(view.band is not None for view in diagnosis.views)
     caption = (
-        "What the model as it was misses, by frequency and time. A level line is a hum, a line that follows the speed "
-        "a ripple over position, one column per event."
+        "Residual of the original model, by frequency and time. A horizontal line is a hum, a line that follows the "
+        "speed a ripple over position, a column an event."
     )
     blocks = [Picture(spectrum_figure(spectrum), caption, "Spectrum over time")] if spectrum else []
     return Section(
-        "The residual from every side",
+        "Residual over every quantity",
         Picture(
             views_figure(diagnosis.views),
-            f"Mean residual {units.word('force')} of the model as it was and, where it was extended, of the better one"
-            + ("; the grey band is what a healthy record shows. What still leaves it is unexplained." if band else "."),
+            f"Mean residual {units.word('force')} of the original model and, with findings, of the extended one"
+            + ("; the grey band is that of a healthy record. Values outside it are unexplained." if band else "."),
             "Residual over every quantity",
         ),
         *blocks,
@@ -477,17 +480,17 @@ def views_section(diagnosis: Diagnosis, units: Units) -> Section | None:
 
 
 def limits_section(document: Mapping[str, Any]) -> Section | None:
-    """Return the section on effects that may be present unnoticed, and their largest size."""
+    """Return the section on effects that may be present undetected, and their largest size."""
     limits = document.get("not_excluded") or ()
     if not limits:
         return None
     rows = [[entry.get("label") or words(entry["effect"]), entry["text"]] for entry in limits]
     return Section(
-        "What could not be excluded",
+        "Effects that cannot be excluded",
         Table(
-            ["effect", "would have been noticed from"],
+            ["effect", "would have been found from"],
             rows,
-            "Each effect alone, at the middle one of the shapes tried; what is fainter may be there.",
+            "Each effect alone, at the median of the tested shapes; weaker effects may be present.",
         ),
     )
 
@@ -496,8 +499,8 @@ def model_file(document: Mapping[str, Any]) -> list[Line]:
     """Return a line that names the file of the model, if there is one."""
     if not document.get("model_file"):
         return []
-    what = "with what was missing" if document["findings"] else "refitted to the records, with nothing added"
-    return [Line(html("The model {}: <code>{}</code>. Every command runs on it.", what, document["model_file"]))]
+    model = "with the effects found" if document["findings"] else "refitted to the records, without effects"
+    return [Line(html("The model {}: <code>{}</code>. Every command accepts it.", model, document["model_file"]))]
 
 
 def method_section(document: Mapping[str, Any], units: Units) -> Section:

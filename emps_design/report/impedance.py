@@ -45,8 +45,8 @@ BAND = 20.0  # rad/s, the operator's range in section II-C of the paper
 def task_figure(runs: Mapping[str, TaskRun], task: Task) -> Figure:
     """Draw Fig. 12: force of the hand, velocity and position against time, one line for each of ``runs`` of ``task``.
 
-    The last plot is the velocity in the time that the verdicts judge, on its own scale: it shows a creep or a swing
-    that is small beside the motion before.
+    The last plot is the velocity in the time interval of the verdicts, on its own scale: it shows creep or oscillation
+    that is small compared with the motion before.
     """
 
     def signal(label: str, name: str, factor: float, begin: float = 0.0) -> Axes:
@@ -58,12 +58,12 @@ def task_figure(runs: Mapping[str, TaskRun], task: Task) -> Figure:
 
     whole = (signal("force $\\tau_e$ [N]", "tau_e", 1.0), signal("velocity [mm/s]", "v", 1e3))
     watched = signal("velocity [mm/s]", "v", 1e3, task.end * task.period)
-    last = replace(watched, x="time [s]; above the whole task, here what the verdicts look at")
+    last = replace(watched, x="time [s]; above: the whole task, here: the interval of the verdicts")
     return drawn(Grid.of(*whole, signal("position [mm]", "q", 1e3), last, height=7.2, share_x=False, legend=ABOVE))
 
 
 def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray], target: np.ndarray) -> Figure:
-    """Draw the impedance that the hand meets: ``curves`` (n,) [N/(m/s)] over ``omega`` [rad/s], and the target."""
+    """Draw the impedance felt by the hand: ``curves`` (n,) [N/(m/s)] over ``omega`` [rad/s], and the target."""
     target_phase = np.degrees(np.angle(target))
     gains: list[Any] = [Band("x", omega[0], BAND, "#DCEEFB")]
     phases: list[Any] = [*gains, Curve(omega, target_phase, color=BLACK, line="--")]
@@ -81,7 +81,7 @@ def apparent_impedance_figure(omega: np.ndarray, curves: Mapping[str, np.ndarray
 
 
 def stability_map_figure(regions: StabilityMap, mass: float, filter: float) -> Figure:
-    """Draw where the law is stable over apparent mass and filter, one line for each mismatch, and the law chosen."""
+    """Draw the stable region over apparent mass and filter, one line for each mismatch, and the chosen law."""
     with look():
         figure, axes = subplots(height=3.7)
         shades = ("#FDE7D3", "#F9C9A3", "#F3A46F", "#E8834A")
@@ -159,16 +159,16 @@ def wall_figure(contact: WallContact) -> Figure:
     top, low = max(1.25 * wall, 1.05 * np.max(reached, initial=0.0)), np.min(reached, initial=0.0)
     carriage = Curve(*thin(contact.t, position), "carriage", BLUE, width=1.3)
     push = Curve(*thin(contact.t, contact.push), "push of the hand", BLACK, width=1.3)
-    answer = Curve(*thin(contact.t, contact.wall_force), "force of the wall", RED, width=1.3)
+    reaction = Curve(*thin(contact.t, contact.wall_force), "force of the wall", RED, width=1.3)
     inside = Band("y", wall, top, GREY, 0.25, "wall"), Level("y", wall)
-    reason = "unstable: the simulation gave up" if contact.reason else ""
+    reason = "unstable: the simulation was stopped" if contact.reason else ""
     positions = Axes((carriage, *inside), "", "position [mm]", legend="upper right", remark=reason)
-    forces = Axes((push, answer), "time [s]", "force [N]", legend="lower right")
+    forces = Axes((push, reaction), "time [s]", "force [N]", legend="lower right")
     return drawn(Grid.of(replace(positions, y_range=(low - 0.05 * (top - low), top)), forces, height=4.0))
 
 
 def contact_map_figure(regions: ContactMap) -> Figure:
-    """Draw where law and contact are stable together, over stiffness and damping of hand or wall."""
+    """Draw the region in which law and contact are stable together, over stiffness and damping of hand or wall."""
     positive_k, positive_b = regions.stiffness > 0.0, regions.damping > 0.0
     stiffness, damping = regions.stiffness[positive_k], regions.damping[positive_b]
     unstable = (~regions.stable[np.ix_(positive_b, positive_k)]).astype(float)
@@ -192,8 +192,8 @@ def impedance_section(assessment: ImpedanceAssessment) -> Section:
         "Impedance law",
         Picture(
             impedance_law_diagram(),
-            f"(a) The law sees motion and motor current, no {force}. (b) The impedance it aims at; in co-manipulation "
-            "K and the reference velocity are zero.",
+            f"(a) The law uses motion and motor current, but no {force} sensor. (b) The target impedance; in "
+            "co-manipulation K and the reference velocity are zero.",
             "Impedance control, after Fig. 11 of the paper",
         ),
         *assessment.view(),
@@ -236,9 +236,9 @@ def _impedance_picture(assessment: ImpedanceAssessment) -> Picture:
     units = assessment.axis.units
     return Picture(
         apparent_impedance_figure(below, curves, target),
-        f"{units.word('force').capitalize()} over velocity at the hand. In the shaded band, below {BAND:g} rad/s, "
-        "where an operator moves, the curves should lie on the dashed target; above it the filters and the hold let "
-        f"the real {units.word('mass')} through.",
+        f"{units.word('force').capitalize()} over velocity at the hand. In the shaded band below {BAND:g} rad/s, the "
+        "bandwidth of an operator, the curves should follow the dashed target; above it filters and hold make the real "
+        f"{units.word('mass')} felt.",
         "Apparent impedance",
     )
 
@@ -255,8 +255,8 @@ def _maps(assessment: ImpedanceAssessment) -> list[Picture]:
                 assessment.law.mass,
                 assessment.law.filter,
             ),
-            "Shaded: unstable at some corner of the mismatch, sliding or sticking. The point must stay clear of the "
-            "line of the mismatch that is to be expected.",
+            "Shaded: unstable at some corner of the mismatch, sliding or sticking. The point should not be close to "
+            "the line of the expected mismatch.",
             "Where the law is stable",
         )
     ]
@@ -286,21 +286,21 @@ def _mismatch_blocks(assessment: ImpedanceAssessment, study: MismatchStudy) -> l
     }
     return [
         Line(
-            f"{units.word('mass').capitalize()}, viscous and Coulomb friction of the law are off by up to {percent}: "
-            f"{study.corners} corners and {study.plants} random plants, seed {study.seed}. Not varied: the {force} "
-            "gain, which scales all three and is inside the box, and the filter of the law. With: the corners on a "
-            "machine changed in that."
+            f"{units.word('mass').capitalize()}, viscous and Coulomb friction of the law are wrong by up to {percent}: "
+            f"{study.corners} corners and {study.plants} random plants, seed {study.seed}. Not varied are the filter "
+            f"of the law and the {force} gain, whose error scales all three and is inside the box. “With” marks "
+            "corners on a machine with that change."
         ),
         Picture(
             mismatch_figure(study),
-            f"Left: what the hand feels on each plant; squares are the corners. Right: what the released {carriage} "
-            "does. Creeping means that over-estimated friction drives it on for ever.",
+            f"Left: apparent {units.word('mass')} and damping of each plant; squares are the corners. Right: behaviour "
+            f"of the released {carriage}. Creeping means that over-estimated friction keeps it moving.",
             f"Mismatch of {percent}",
         ),
         Picture(
             task_figure(runs, task),
-            f"The hand guides the {carriage} for 5 s and lets go while it moves. Look at the velocity after the "
-            "release, which must come to rest, and at the position, which must not run away.",
+            f"The hand guides the {carriage} for 5 s and releases it while it moves. After the release the velocity "
+            "must go to zero, and the position must not drift.",
             f"{force.capitalize()}, velocity and position, after Fig. 12 of the paper",
         ),
         _effort_table(assessment, runs),
@@ -329,8 +329,8 @@ def _effort_table(assessment: ImpedanceAssessment, runs: Mapping[str, Any]) -> T
     return Table(
         ["", "after release", f"{force} to break away", f"rms {force}", f"peak {force}", "work"],
         rows,
-        f"The operator's effort in the task. Without a {force} sensor all of the dry friction has to be overcome by "
-        f"hand before the {units.word('carriage')} starts.",
+        f"The operator's effort in the task. Without a {force} sensor the hand must overcome all of the dry friction "
+        f"before the {units.word('carriage')} moves.",
     )
 
 
@@ -343,5 +343,5 @@ def _errata_table() -> Table:
             [html('<span translate="no">{}</span>', words) for words in (erratum.place, erratum.title, erratum.text)]
             for erratum in find_errata()
         ],
-        "Where the paper differs from what follows by derivation; emps-design derive shows every step.",
+        "Differences between the paper and the derivation; emps-design derive shows every step.",
     )

@@ -53,15 +53,15 @@ def record_figure(record: Record, units: Units | None = None) -> Figure:
 
 
 def _over_time(*axes: Axes, height: float, **options: Any) -> Figure:
-    """Draw ``axes`` above one another over the time that the last one names."""
+    """Draw ``axes`` one above the other, over the time of the last one."""
     *above, last = axes
     return drawn(Grid.of(*above, replace(last, x="time [s]"), height=height, **options))
 
 
 def force_figure(identification: Identification) -> Figure:
-    """Draw measured and identified force over the record, one part of it enlarged, and the residual.
+    """Draw measured and identified force over the record, a part of it enlarged, and the residual.
 
-    Samples that the identification did not use are gaps.
+    Samples not used by the identification are gaps.
     """
     t, measured, model = (np.asarray(identification.series[key]) for key in ("t", "measured", "model"))
     used = np.asarray(identification.series["used"], dtype=bool)
@@ -103,7 +103,7 @@ def record_section(record: Record, identifications: Sequence[Identification], ax
         Line(in_words(record)),
         Picture(
             record_figure(record, axis.units),
-            f"Position on the load side and the {axis.units.word('voltage')} that the drive was given.",
+            f"Position on the load side, and {axis.units.word('voltage')} of the drive.",
             "Record",
         ),
         *(part for each in identifications for part in (*each.view(), _comparison(each, axis))),
@@ -133,38 +133,38 @@ def in_words(record: Record) -> str:
 
 
 def _comparison(identification: Identification, axis: Axis) -> Table:
-    """The 95 % interval of each parameter, and the number of the axis file."""
+    """The 95 % interval of each parameter, and the value in the axis file."""
     known, units = axis.mechanics.parameters, axis.units
     rows: list[list[Any]] = []
     for name, estimate in identification.parameters.items():
         interval = "not determined"
         if estimate.interval_95 is not None:
             interval = " to ".join(map(number, estimate.interval_95))
-        own = number(known[name], 6) if name in known else NOTHING
-        rows.append([units.words(words(name)), interval, own, units.unit(estimate.quantity.unit)])
-    title = f"The {identification.model} model beside the axis file; believe the interval, not the deviation by (15)"
+        of_axis = number(known[name], 6) if name in known else NOTHING
+        rows.append([units.words(words(name)), interval, of_axis, units.unit(estimate.quantity.unit)])
+    title = f"The {identification.model} model and the axis file; rely on the interval, not on the deviation by (15)"
     return Table(["parameter", "95 % interval", f"axis {axis.name}", "unit"], rows, title)
 
 
 def _force_picture(identification: Identification, units: Units) -> Picture:
     force = units.word("force")
-    known = ", both less what the effects of the axis file take" if identification.axis.effects else ""
+    known = f", both without the {force} of the effects in the axis file" if identification.axis.effects else ""
     return Picture(
         force_figure(identification),
         f"{force.capitalize()} of the motor, measured and by the {identification.model} model with the identified "
-        f"parameters{known}. The middle picture enlarges the yellow part. What is left in the lowest picture and "
-        "repeats from stroke to stroke is physics that the model lacks; emps-design diagnose names it.",
+        f"parameters{known}. The middle picture enlarges the yellow part. A residual in the lowest picture that "
+        "repeats from stroke to stroke is physics that the model lacks; emps-design diagnose identifies it.",
         f"Measured against identified {force}",
     )
 
 
 def import_page(account: Account) -> Page:
-    """Return the page on an import: the columns as they were read, and a picture of the record."""
+    """Return the page of an import: the columns as read, and a picture of the record."""
     record, units = account.record, account.axis.units
     section = Section(
         f"Record {record.name}",
         *account.view(),
-        Picture(record_figure(record, units), "The record as it was read.", "Record"),
+        Picture(record_figure(record, units), "The record as read.", "Record"),
         *(Line(note, "note") for note in account.notes),
     )
     return Page(f"Import of {record.name}", "", (), (section,), units=units)
@@ -179,7 +179,7 @@ def observation_figure(observation: Observation) -> Figure:
         parts: list[Any] = [Curve(*thin(observation.t, method.force), label, color, width=1.0)]
         if observation.f_ext is not None:
             parts.append(Curve(*thin(observation.t, observation.f_ext), "measured", BLACK, width=1.2))
-        parts.append(Band("y", -least, least, label="cannot be told from errors"))
+        parts.append(Band("y", -least, least, label="below the error bound"))
         methods.append(Axes(tuple(parts), "", "force [N]", legend="upper right", columns=3, room=0.3))
     return _over_time(*methods, height=1.7 * len(methods) + 0.4)
 
@@ -192,7 +192,7 @@ def observation_blocks(observation: Observation) -> tuple[Any, ...]:
         Picture(
             observation_figure(observation),
             f"{force.capitalize()} on the {units.word('carriage')} from motor {force} and motion, (19). Inside the "
-            f"grey band a {force} cannot be told from the errors of model and noise.",
+            f"grey band a {force} cannot be distinguished from errors of the model and noise.",
             f"Observed external {force}",
         ),
         *observation.view(),
@@ -221,7 +221,7 @@ def motion_figure(runs: Mapping[str, Followed]) -> Figure:
 
 
 def tracking_figure(compensation: Compensation) -> Figure:
-    """Draw the reference and the tracking error, without feed-forward and with what is kept."""
+    """Draw the reference and the tracking error, without feed-forward and with the selected terms."""
     t, errors = compensation.errors()
     curves = [
         Curve(*thin(t, error), f"{name} feed-forward", color, width=1.0)

@@ -1,4 +1,4 @@
-"""What a report is asked for: the same names in Python, on the command line and in the studio."""
+"""The request of a report, with the same names in Python, on the command line and in the studio."""
 
 from __future__ import annotations
 

@@ -39,9 +39,9 @@ WALLS = np.geomspace(1.0 / 30.0, 30.0, 22)  # stiffnesses, relative to that of t
 
 
 def gains_section(velocity: VelocityLoopDesign, verdict: DesignVerdict) -> Section:
-    """Return the section on the gains of ``velocity``: margins at each place, law, and the margins of ``MISMATCH``.
+    """Return the section on the gains of ``velocity``: margins at each place, law, and margins under ``MISMATCH``.
 
-    The warnings stand in the summary of the page.
+    The warnings are in the summary of the page.
     """
     from emps_design.control.velocity.load_range import margins_under_mismatch, relative_mismatch
     from emps_design.control.verdict import gains_document
@@ -56,28 +56,28 @@ def gains_section(velocity: VelocityLoopDesign, verdict: DesignVerdict) -> Secti
         Picture(
             velocity_and_force_loop_diagram(velocity.structure, bool(velocity.filters)),
             f"The {velocity.structure.label} velocity loop ({ACTS_ON[velocity.structure.form]}) inside the "
-            f"{units.word('force')} loop. At the two dotted lines the loop is broken to read margins. "
-            f"The specification holds for the {loop} loop broken at the {place.replace('-', ' ')}; "
-            "what destabilises a drive acts at the plant input.",
+            f"{units.word('force')} loop. Margins are those of the loop broken at either of the two dotted lines. "
+            f"The specification applies to the {loop} loop broken at the {place.replace('-', ' ')}; "
+            "delays and lags of a drive act at the plant input.",
             "Structure, after Fig. 4 of the paper",
         ),
         *gains_view(document, units),
         _with_lags(velocity),
-        _taken(velocity),
+        _lost_phase(velocity),
         *mismatch_view(off, units),
     )
 
 
 def _with_lags(velocity: VelocityLoopDesign) -> Table | None:
-    """The margins at the plant input without the sampling; None where nothing but the sampling is left out."""
+    """The margins at the plant input with lags but without sampling; None if the ideal loop lacks only the sampling."""
     if not velocity.left_out:
         return None
     ((table, *_), title) = velocity.with_lags.plant_input.view(), "Broken at the plant input, with lags: continuous"
     return replace(table, title=title) if isinstance(table, Table) else None
 
 
-def _taken(velocity: VelocityLoopDesign) -> Line | None:
-    """What the implementation takes of the phase margin at the plant input; None for an unstable loop."""
+def _lost_phase(velocity: VelocityLoopDesign) -> Line | None:
+    """The loss of phase margin by the implementation, at the plant input; None for an unstable loop."""
     ideal, on_drive = velocity.plant_input.phase_margin_deg, velocity.sampled.margins.phase_margin_deg
     if ideal is None or on_drive is None:
         return None
@@ -85,8 +85,8 @@ def _taken(velocity: VelocityLoopDesign) -> Line | None:
     parts += ["filters of the command"] * bool(velocity.filters)
     parts += ["effects of the axis"] * bool(velocity.axis.effects)
     return Line(
-        f"At the plant input, {', '.join(parts[:-1])} and {parts[-1]} take {ideal - on_drive:.1f}° of the "
-        f"{angle(ideal)} that the continuous loop has there."
+        f"At the plant input, {', '.join(parts[:-1])} and {parts[-1]} cost {ideal - on_drive:.1f}° of the "
+        f"{angle(ideal)} phase margin of the continuous loop."
     )
 
 
@@ -101,14 +101,14 @@ def velocity_section(velocity: VelocityLoopDesign) -> Section:
         ),
         "bode_plant_input": (
             "Bode diagram, broken at the plant input",
-            f"The loop that delay acts on. {AT_THE_PLANT_INPUT[velocity.structure.form]}; the distance between the two "
-            "curves is what the implementation takes.",
+            f"The loop on which delay acts. {AT_THE_PLANT_INPUT[velocity.structure.form]}; the difference between the "
+            "two curves is the effect of the implementation.",
         ),
         "bode_parts": (
             "Bode diagram: plant, controller and loop",
-            "The sampled loop at the plant input and what it is made of: the plant as the controller sees it, with "
-            "hold, delay and velocity estimator, and the controller with its filters. The loop is their product; plant "
-            "and controller count in SI and in units of the command.",
+            "The sampled loop at the plant input and its parts: the plant as seen by the controller, with hold, delay "
+            "and velocity estimator, and the controller with its filters. The loop is their product; plant and "
+            "controller are in SI units and units of the command.",
         ),
         "nyquist": (
             "Nyquist diagrams",
@@ -220,8 +220,9 @@ def force_section(force: ForceLoopDesign) -> Section:
         Picture(
             force_limit_figure(force),
             "Shaded, above the dashed line, the loop as implemented is unstable: the “too high gain” of the paper. "
-            "Where all is shaded no gain is stable, where nothing is any. The stiffer the wall, the smaller the gain.",
-            f"How large the {word} gain may be",
+            "Where everything is shaded, no gain is stable; where nothing is, every gain is. A stiffer wall needs a "
+            "smaller gain.",
+            f"Largest {word} gain",
         ),
         Picture(
             force_loop_figure(force),
@@ -237,8 +238,9 @@ def controller_section(margins: ControllerMargins) -> Section:
     return Section(
         "Controller of the axis",
         Line(
-            "The loops as the axis file says them, not those designed above: the velocity loop with the position loop "
-            "open, the position loop with the velocity loop closed, and the whole where a delay or a current loop sits."
+            "The loops of the controller in the axis file, not those designed above: the velocity loop with the "
+            "position loop open, the position loop with the velocity loop closed, and the whole loop broken where "
+            "delay and current loop act."
         ),
         *margins.view(),
     )

@@ -323,10 +323,13 @@ def test_a_gain_may_come_from_the_record():
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        (None, r"controller\.kp: comes from column 'gain' of a record, found no record; expected a record with that"),
-        ({"kp": 3.0}, r"controller\.kp: comes from column 'gain' of a record, found kp; expected"),
+        (
+            None,
+            r"controller\.kp: is taken from column 'gain' of a record, found no record; expected a record with that",
+        ),
+        ({"kp": 3.0}, r"controller\.kp: is taken from column 'gain' of a record, found kp; expected"),
         ({"gain": -3.0}, r"controller\.kp: found -6 from column 'gain' of the record times 2; .* greater than 0"),
-        ({"gain": "high"}, r"controller\.kp: column 'gain' of the record is no numbers"),
+        ({"gain": "high"}, r"controller\.kp: column 'gain' of the record has no numbers"),
     ],
 )
 def test_a_gain_that_the_record_does_not_give_is_told(columns, message):

@@ -42,7 +42,7 @@ def observed_force(mass, viscous, coulomb, factor, a, v, tau):
 
 
 def demanded_force(ratio, damping, stiffness, viscous, coulomb, v, away, tau_e, v_0, relative):
-    """The motor force by (27) at the distance ``away`` from q_0; ``relative`` is 1 as printed (friction of v - v_0), else 0."""
+    """The motor force by (27), ``away`` from q_0; ``relative`` 1: friction of v - v_0 as printed, 0: as derived."""
     force = (ratio - 1.0) * tau_e + (viscous - ratio * damping) * v + coulomb - ratio * stiffness * away
     return force + (ratio * damping - relative * viscous) * v_0
 

@@ -49,7 +49,7 @@ def test_the_page_shows_the_gains_and_the_margins_of_all_four_loops(page):
 
 def test_the_page_has_every_picture_with_a_caption(page):
     titles = re.findall(r"<b>Figure \d+\. ([^<]*?)\.</b>", page)
-    assert {"Nyquist diagrams", "Closed-loop poles", "Step response", "How large the force gain may be"} <= set(titles)
+    assert {"Nyquist diagrams", "Closed-loop poles", "Step response", "Largest force gain"} <= set(titles)
     assert {"Where the law is stable", "Apparent impedance", "Mismatch of ±2 %"} <= set(titles)
     assert len(titles) == page.count("<svg ") == 15
 
@@ -184,7 +184,7 @@ def test_an_axis_that_is_named_stays_as_it_is(emps_data, undrawn):
     report = assemble_report("emps2018", emps_data / "DATA_EMPS.mat", crossover=100.0, model="asymmetric")
     assert report.results.velocity.axis == machine("emps2018")
     assert [one.model for one in report.identifications] == ["asymmetric", "symmetric"]
-    assert "as it is written" in report.results.notes[0]
+    assert "as in its file" in report.results.notes[0]
 
 
 def test_bad_combinations_are_refused():

@@ -147,7 +147,7 @@ def test_the_first_screen_has_the_sentence_then_where_then_before_and_after(sket
             "1.60 N",
             "Where.",
             "Before and after.",
-            "What was tried.",
+            "Candidates.",
         )
     ]
     assert places == sorted(places)
@@ -197,8 +197,8 @@ def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_
     diagnosis.document["unexplained"] = left | {"map": map_}
     plain = in_plain_words(diagnosis.document)
     assert "one cause has been found: Stribeck friction" in plain
-    assert "played no part in finding it agrees" in plain
-    assert "Something is left that nothing known explains" in plain
+    assert "was not used to find it agrees" in plain
+    assert "No known cause explains the rest" in plain
     found, *after = diagnosis_view(diagnosis.document, LINEAR)[2:]
     assert found.rows[0][-1] == "0.97 +- 0.04"
     assert after[0].text.startswith("Next experiment: ")

@@ -105,8 +105,8 @@ def test_a_page_rewrites_no_text_and_errata_stay_in_the_papers_units():
     ("axis", "gain", "wall", "said"),
     quick(
         [
-            (JOINT, 1e3, 0.1, "Torque loop: a {} was taken, not asked for."),
-            (machine("emps2018"), 0.01, 1e4, "Force loop: a {} was taken, not asked for."),
+            (JOINT, 1e3, 0.1, "Torque loop: a {} was assumed, because none was given."),
+            (machine("emps2018"), 0.01, 1e4, "Force loop: a {} was assumed, because none was given."),
         ],
         1,
         "another whole report",
@@ -126,7 +126,7 @@ def test_what_a_force_loop_was_not_given_is_taken_by_the_mass_and_said(axis, gai
     ):
         assert said.format(what) in report.page.html()
     whole = assemble_report(axis, crossover=100.0, k_e1=gain, environment=wall)
-    assert "not asked for" not in whole.page.html()
+    assert "was assumed" not in whole.page.html()
 
 
 def test_the_gain_and_the_wall_taken_for_a_light_axis_are_no_absurd_ones():
@@ -212,5 +212,5 @@ def test_a_record_of_an_axis_with_other_units_is_left_out_and_the_page_says_so(s
     )
     page = report.page.html()
     assert report.identifications == ()
-    assert "The record was made on emps2019, an axis with other units: this page leaves it out." in page
+    assert "The record was made on emps2019, an axis with other units, and is not on this page." in page
     assert "<h2>Record" not in page

@@ -102,7 +102,7 @@ def test_a_fast_push_ends_before_the_carriage_has_come_far(rate):
     step = rate * AXIS.sampling.period
     assert found.to_dict()["static_friction"] == pytest.approx(AXIS.mechanics.coulomb, abs=step)
     assert found.warnings == (
-        f"the push rises by {step:.3g} N from sample to sample, the force is as coarse; lower `rate`",
+        f"the push rises by {step:.3g} N per sample, the resolution of the break-away force; lower `rate`",
     )
     assert breakaway(AXIS, rate=20.0).warnings == ()
 
@@ -111,7 +111,7 @@ def test_a_bending_contact_that_has_not_moved_far_is_not_said_to_hold():
     bent = AXIS.replace(effects=[{"kind": "presliding_friction", "stiffness": 1e6}])
     found = breakaway(bent, rate=1000.0)
     assert found.forward is None
-    assert re.match(r"the carriage moved 0\.\d+ mm until .* N, and leaves with 1 mm; .* `rate`", found.warnings[0])
+    assert re.match(r"the carriage moved 0\.\d+ mm up to .* N, and break-away needs 1 mm; .* `rate`", found.warnings[0])
 
 
 def test_a_carriage_that_stops_again_has_not_left():
@@ -227,7 +227,7 @@ def test_an_arm_that_falls_by_itself_has_no_break_away():
     found = breakaway(arm, rate=20.0)
     assert (found.forward, found.backward) == (None, None)
     assert found.to_dict()["static_friction"] is None
-    assert "leaves without a push" in found.warnings[0]
+    assert "moves without a push" in found.warnings[0]
 
 
 def test_a_loop_that_only_the_limit_holds_is_unstable():
@@ -235,5 +235,5 @@ def test_a_loop_that_only_the_limit_holds_is_unstable():
     loop = {"kind": "cascade", "position": {"kp": 30.0}, "velocity": {"kp": 40.0, "ti": 0.05, "form": "ip"}}
     axis = AXIS.replace(controller=loop, drive={"command_limit": 3.0})
     found = follow(axis, 0.1 * (1.0 - np.cos(3e-3 * np.arange(1000)))).to_dict()
-    assert found["reason"] == "the position loop is unstable; only limits hold it"
+    assert found["reason"] == "the position loop is unstable; only limits bound it"
     assert "reason" not in follow(axis.replace(controller={**loop, "position": {"kp": 5.0}}), np.zeros(10)).to_dict()

@@ -321,7 +321,7 @@ def test_a_record_is_identified_with_its_own_axis_whatever_is_designed_on(short)
 @pytest.mark.study("a whole report")
 def test_a_record_of_other_units_is_left_out_of_the_report_and_the_page_says_so(short):
     page = files_view.report_html(state(), {"record": RECORD, "record_axis": JOINT, "record_filter": "paper"})
-    assert "The record was made on joint, an axis with other units: this page leaves it out." in page
+    assert "The record was made on joint, an axis with other units, and is not on this page." in page
     assert "<h2>Record" not in page
 
 
