@@ -71,20 +71,20 @@ def derive_velocity_loop(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRI
     stiffness = {y.K_v: y.k_v1 * y.G_tau / y.t_v}
     return (
         DerivationStep("Correction", "", Equation(*correction.args),
-                       "Fig. 4: integral of the velocity error, proportional on the velocity.", (CONTINUOUS,)),
+                       "Fig. 4: integral of the velocity error, proportional to the velocity.", (CONTINUOUS,)),
         DerivationStep("Drive and carriage", "", Equation(*carriage.args), "(1) and (2).",
                        (LINEAR, FREE, CURRENT_LOOP)),
         compared("Open loop at the velocity error", "6", Equation(y.T_vo, T_vo),
-                 "Both blocks solved for the velocity as an answer to e_v; the proportional path is closed inside.",
+                 "Both blocks solved for the response of the velocity to e_v, with the proportional path closed.",
                  rests_on),
         DerivationStep("Crossover and phase margin", "", Equation(real, sp.Integer(0)),
-                       "T_vo(j omega_v) = exp(j (-pi + phi_v)), multiplied out: this is its real part.", rests_on),
+                       "Real part of T_vo(j omega_v) = exp(j (-pi + phi_v)), multiplied out.", rests_on),
         compared("Gain", "7", Equation(y.k_v1, k),
                  "Positive only for phi_v above atan(F_v/(M omega_v)), finite only below 90 deg.",
                  (*rests_on, FEASIBLE)),
-        compared("Integral time", "7", Equation(y.t_v, t), "The imaginary part, with the gain just found.",
+        compared("Integral time", "7", Equation(y.t_v, t), "The imaginary part, with this gain.",
                  (*rests_on, FEASIBLE), put={y.k_v1: k}),
-        compared("Closed loop", "8", Equation(y.T_vc, T_vc), "e_v = v - qd put back, and K_v = k_v1 G_tau/t_v.",
+        compared("Closed loop", "8", Equation(y.T_vc, T_vc), "e_v = v - qd and K_v = k_v1 G_tau/t_v inserted.",
                  rests_on, put=stiffness),
         *_canonical(T_vc, rests_on, stiffness),
         *_from_the_specification(T_vc, k, t, (*rests_on, FEASIBLE)),
@@ -93,7 +93,7 @@ def derive_velocity_loop(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRI
 
 
 def derive_pi_loop(correction: sp.Eq = PI_CORRECTION, carriage: sp.Eq = CARRIAGE) -> tuple[DerivationStep, ...]:
-    """Derive what (6) to (9) become with the proportional part on the velocity error, as servo drives have it.
+    """Derive (6) to (9) with the proportional part on the velocity error, as in servo drives.
 
     >>> all(step.holds for step in derive_pi_loop())
     True
@@ -111,21 +111,21 @@ def derive_pi_loop(correction: sp.Eq = PI_CORRECTION, carriage: sp.Eq = CARRIAGE
         DerivationStep("PI correction", "", Equation(*correction.args),
                        "Proportional and integral of the velocity error.", (CONTINUOUS,)),
         DerivationStep("Open loop at the velocity error, PI", "", Equation(y.T_vo, T_vo),
-                       "Nothing is closed inside.", rests_on,
+                       "There is no inner loop.", rests_on,
                        (("it is the loop of IP at the plant input", sp.simplify(T_vo - L) == 0),)),
         DerivationStep("Gain, PI", "", Equation(y.k_v1, k), "T_vo(j omega_v) = exp(j (-pi + phi_v)).",
                        (*rests_on, PHASES)),
         DerivationStep("Integral time, PI", "", Equation(y.t_v, t),
-                       "The other half of that equation; at the upper end of the range the integral is gone.",
+                       "The imaginary part of that equation; at the upper end of the range the integral is zero.",
                        (*rests_on, PHASES),
                        (("1/t_v is 0 at the upper end", sp.simplify((1 / t).subs(y.phi_v, end)) == 0),)),
         DerivationStep("Closed loop, PI", "", Equation(y.T_vc, sp.factor(T_vc)),
-                       "The poles of (8), and a zero at -1/t_v: for the same gains faster and with more overshoot.",
+                       "The poles of (8), and a zero at -1/t_v: faster and with more overshoot for the same gains.",
                        rests_on,
                        (("T_vc of PI is (8) times 1 + t_v s", sp.simplify(T_vc / ip - 1 - y.t_v * y.s) == 0),)),
         DerivationStep("PI with a reference filter", "", Equation(y.T_vc, sp.factor(T_vc / (1 + y.t_v * y.s))),
-                       "A filter 1/(1 + t_v s) of the reference takes the zero away.", rests_on,
-                       (("what is left is (8)", sp.simplify(T_vc / (1 + y.t_v * y.s) - ip) == 0),)),
+                       "A filter 1/(1 + t_v s) of the reference cancels the zero.", rests_on,
+                       (("the result is (8)", sp.simplify(T_vc / (1 + y.t_v * y.s) - ip) == 0),)),
     )  # fmt: skip
 
 
@@ -133,7 +133,7 @@ def _crossover(T_vo: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
     numerator, denominator = sp.fraction(sp.together(T_vo.subs(y.s, sp.I * y.omega_v)))
     balance = sp.expand(denominator * (-sp.cos(y.phi_v) - sp.I * sp.sin(y.phi_v)) - numerator)
     real, imaginary = (sp.expand(part) for part in balance.as_real_imag())
-    # Which of the two holds k_v1 without t_v depends on the blocks; that one is solved first.
+    # Which of the two has k_v1 without t_v depends on the blocks; that one is solved first.
     both = sorted((real, imaginary), key=lambda part: part.subs(y.k_v1, 0).has(y.t_v) and part.has(y.t_v))
     return both[0], both[1]
 
@@ -171,8 +171,8 @@ def _from_the_specification(T_vc: sp.Expr, k: sp.Expr, t: sp.Expr, rests_on: tup
     return [
         DerivationStep(
             "What T_vc depends on: natural frequency", "", Equation(y.omega_0v, w0_specified),
-            "(7) put into (9): T_vc follows from the specification alone.", rests_on,
-            (("mass, friction and gain are gone", free),),
+            "(7) inserted into (9): T_vc depends only on the specification.", rests_on,
+            (("it does not depend on mass, friction and gain", free),),
         ),
         DerivationStep(
             "What T_vc depends on: damping ratio", "", Equation(y.z_v, z_specified), "The same.", rests_on,
@@ -191,7 +191,8 @@ def _plant_input_loop(correction: sp.Eq, carriage: sp.Eq, rests_on: tuple[str, .
     return [
         DerivationStep(
             "Loop broken at the plant input", "", Equation(sp.Symbol("L"), sp.factor(-opened[y.u] / broken)),
-            "Where delay, current loop and sampling sit: their phase is taken from this loop's margin.", rests_on,
+            "Delay, current loop and sampling act here: their phase is subtracted from the margin of this loop.",
+            rests_on,
         )
     ]  # fmt: skip
 
@@ -223,17 +224,17 @@ def _paper_steps() -> list[DerivationStep]:
     v = sp.Symbol(y.qd_1.name, real=True)
     return [
         compared("Force loop, opened at its sum", "10", Equation(y.T_eo, T_eo),
-                 "v = k_e1 (tau_ref + tau_e) through T_vc to the velocity, and tau_e = k_c qd.", rests_on),
+                 "v = k_e1 (tau_ref + tau_e), velocity T_vc v, and tau_e = k_c qd.", rests_on),
         compared("Static gain one", "11", Equation(y.T_eo, unity), "k_c = 1/k_e1.", rests_on),
         DerivationStep(
-            "The paper's own reading", "", Equation(y.T_eo / (1 - y.T_eo), closed),
-            "tau_e is reference and result at once: positive feedback.", rests_on,
+            "Interpretation of the paper", "", Equation(y.T_eo / (1 - y.T_eo), closed),
+            "tau_e is both reference and result: positive feedback.", rests_on,
             (("it has a pole at s = 0", sp.denom(closed).subs(y.s, 0) == 0),),
         ),
         compared(
-            "A hand that gives no energy", "10", Equation(y.tau_e, -y.k_c * y.qd_1),
-            "tau_e acts on the carriage, towards +q; what it puts in is P = tau_e qd. A hand that only damps takes "
-            "energy out, so its force has the other sign.", ("the hand is a damper k_c > 0",),
+            "A passive hand", "10", Equation(y.tau_e, -y.k_c * y.qd_1),
+            "tau_e acts on the carriage, towards +q, with the power P = tau_e qd. A hand that only damps absorbs "
+            "energy, so its force has the other sign.", ("the hand is a damper k_c > 0",),
             (("P < 0 with this sign", sp.simplify((-y.k_c * v) * v).is_nonpositive is True),
              ("P > 0 as printed", sp.simplify((y.k_c * v) * v).is_nonnegative is True)),
         ),
@@ -249,24 +250,24 @@ def answer_to_a_force(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRIAGE
 
 
 def carriage_step(correction: sp.Eq = CORRECTION, carriage: sp.Eq = CARRIAGE) -> DerivationStep:
-    """What reference and external force make of the velocity, from the blocks with tau_e on the carriage."""
+    """Response of the velocity to reference and external force, from the blocks with tau_e on the carriage."""
     per_reference, per_force = answer_to_a_force(correction, carriage)
     T_vc = closed_velocity_loop(correction, carriage)
     short = Sum(((y.T_vc, Sum(((y.v_ref,), (y.s / y.K_v, y.tau_e)))),))
     stiffness = y.k_v1 * y.G_tau / y.t_v
     return DerivationStep(
         "Carriage under reference and force", "", Equation(y.qd_1, short),
-        "Correction and (M s + F_v) qd = G_tau u + tau_e solved together: a force answers through T_vc as well.",
+        "Correction and (M s + F_v) qd = G_tau u + tau_e solved together: the response to a force contains T_vc, too.",
         (LINEAR, CURRENT_LOOP, CONTINUOUS),
         (
-            ("per reference it is T_vc", sp.simplify(per_reference - T_vc) == 0),
-            ("per force it is (s/K_v) T_vc", sp.simplify(per_force - y.s / stiffness * T_vc) == 0),
+            ("the response to the reference is T_vc", sp.simplify(per_reference - T_vc) == 0),
+            ("the response to the force is (s/K_v) T_vc", sp.simplify(per_force - y.s / stiffness * T_vc) == 0),
         ),
     )  # fmt: skip
 
 
 def routh_steps() -> list[DerivationStep]:
-    """Routh's inequality for a cubic, both ways, from its factors."""
+    """Routh's inequality for a cubic, necessary and sufficient, from its factors."""
     product = sp.Poly(sp.expand((y.s + d) * (y.s**2 + h * y.s + y.q)), y.s).all_coeffs()
     _, first, second, third = product
     claim = sp.expand(first * second - third - h * (d**2 + second))
@@ -281,10 +282,10 @@ def routh_steps() -> list[DerivationStep]:
         ),
         DerivationStep(
             "Routh's inequality", "", Equation(Sum(((a, b), (-1, c))), Sum(((h, Sum(((d**2,), (b,)))),))),
-            "With a, b, c > 0 there is no root at or right of zero on the real line, so r > 0, and q = c/r > 0: the "
-            "other two roots lie left exactly if p > 0. As r^2 + b > 0, p has the sign of a b - c: stable if a b > c, "
-            "and not stable if a b <= c. A coefficient that is not positive is never stable: left roots make "
-            "r, p, q > 0 and all three sums of products.", ("a, b, c > 0",),
+            "With a, b, c > 0 there is no real root s >= 0, so r > 0, and q = c/r > 0: the other two roots are in the "
+            "left half-plane if and only if p > 0. As r^2 + b > 0, p has the sign of a b - c: stable if a b > c, and "
+            "not stable if a b <= c. A polynomial with a coefficient that is not positive is not stable: roots in the "
+            "left half-plane make r, p, q > 0, and with them a, b and c.", ("a, b, c > 0",),
             (
                 ("a b - c = p (r^2 + b)", claim == 0),
                 ("no root at s >= 0", on_the_right.is_positive is True and over_zero[3].is_positive),
@@ -302,7 +303,7 @@ def characteristic(hand: sp.Expr, on_carriage: bool = True) -> list[sp.Expr]:
 
 
 def limits(wall: sp.Expr = y.K_env / y.s, hand: sp.Expr = y.k_h) -> list[DerivationStep]:
-    """The largest stable k_e1 against a wall, and that a viscous hand has none."""
+    """The largest stable k_e1 against a wall; with a viscous hand there is no limit."""
     rests_on = (SLOW, SENSOR_AND_CARRIAGE)
     _, first, second, third = characteristic(wall)
     margin = sp.expand(first * second - third)
@@ -319,7 +320,7 @@ def limits(wall: sp.Expr = y.K_env / y.s, hand: sp.Expr = y.k_h) -> list[Derivat
     return [
         DerivationStep(
             "A stiff wall", "", Equation(cubic, sp.Integer(0)),
-            "tau_e = -(K_env/s) qd put into the carriage under reference and force: negative feedback.", rests_on,
+            "tau_e = -(K_env/s) qd inserted into the response to reference and force: negative feedback.", rests_on,
             (("all coefficients are positive", all(k.is_positive for k in (first, second, third))),),
         ),
         DerivationStep(
@@ -333,13 +334,13 @@ def limits(wall: sp.Expr = y.K_env / y.s, hand: sp.Expr = y.k_h) -> list[Derivat
         DerivationStep(
             "The same, force on the sensor only", "", Equation(y.k_e1, sp.factor(sensor_limit)),
             "So k_e1 K_env < 2 z_v omega_0v = omega_v tan(phi_v).", (SLOW, "the force reaches only the sensor"),
-            (("it is that limit with K_v to infinity", sp.limit(limit, y.K_v, sp.oo).equals(sensor_limit)),),
+            (("it is that limit for K_v to infinity", sp.limit(limit, y.K_v, sp.oo).equals(sensor_limit)),),
         ),
         DerivationStep(
             "A viscous hand has no limit", "", Equation(square, sp.Integer(0)),
-            "tau_e = -k_h qd leaves two roots; they lie left exactly if their sum is negative and their product "
-            "positive, that is if both coefficients are positive, and they are for every k_e1 > 0. Sampling, the "
-            "current loop or a delay of the sensor add phase that this leaves out, and then there is a limit.",
+            "With tau_e = -k_h qd there are two roots; they are in the left half-plane if and only if both "
+            "coefficients are positive, which holds for every k_e1 > 0. Sampling, the current loop or a delay of the "
+            "sensor, not included here, add phase, and then there is a limit.",
             (*rests_on, CONTINUOUS),
             (
                 ("second order", len(viscous) == 3),
@@ -373,9 +374,9 @@ def printed_law() -> sp.Expr:
 
 
 def felt_under(law: sp.Expr) -> dict[str, sp.Expr]:
-    """Apparent mass, damping and Coulomb force that ``law`` (a right-hand side like (30)) leaves on the plant (2).
+    """Apparent mass, damping and Coulomb force of the plant (2) under ``law``, a right-hand side like (30).
 
-    Ideal current loop: ``tau_m = G_tau_i I_m``, so the law is solved for the force it asks of itself.
+    Ideal current loop: ``tau_m = G_tau_i I_m``, so the law, which contains the motor force, is solved for it.
     """
     force = sp.solve(sp.Eq(y.tau_m, law.subs(y.current, y.tau_m / y.G_ti)), y.tau_m)[0]
     felt = sp.expand(y.M * y.qdd + y.F_v * y.qd + y.F_c * y.S - force)
@@ -417,7 +418,7 @@ def derive_impedance(model: sp.Eq = MODEL, target: sp.Eq = TARGET) -> tuple[Deri
 def _law_steps(model: sp.Eq, target: sp.Eq, derived: dict[str, Sum]) -> list[DerivationStep]:
     of_model = in_order(sp.expand(model.rhs), (y.qdd, y.qd, y.S), RATIO)
     of_target = in_order(sp.expand(target.rhs), (y.qdd, MOVED, AWAY), RATIO)
-    # The law put back into the model must leave the target, and the observer must give the force of the model.
+    # The law inserted into the model must give the target, and the observer must give the force of the model.
     felt = sp.solve(model.subs(y.tau_m, derived["27"].expression), y.tau_e)[0]
     closes = sp.simplify(felt - target.rhs) == 0
     same_force = (
@@ -425,24 +426,24 @@ def _law_steps(model: sp.Eq, target: sp.Eq, derived: dict[str, Sum]) -> list[Der
     )
     sum_of_two = derived["28"].expression.subs(y.tau_e, derived["29"].expression)
     return [
-        compared("Model the law is built on", "24", Equation(Sum(((y.tau_m,), (y.tau_e,))), of_model),
-                 "(2) with the law's estimates, which wear hats.", (ONE_QUADRANT, BELIEVED)),
+        compared("Model of the law", "24", Equation(Sum(((y.tau_m,), (y.tau_e,))), of_model),
+                 "(2) with the estimates of the law, marked by hats.", (ONE_QUADRANT, BELIEVED)),
         compared("Target impedance", "25", Equation(y.tau_e, of_target),
-                 "What the operator is to feel, with stiffness K about q_0.", ("chosen",)),
+                 "The impedance that the operator is to feel, with stiffness K about q_0.", ("chosen",)),
         compared("Acceleration of the target", "26", Equation(y.qdd, derived["26"]), "(25) solved.", ("M_a > 0",)),
         compared("The law", "27", Equation(y.tau_m, derived["27"]),
-                 "(26) put into (24). As printed the viscous compensation acts on the relative velocity: it differs "
-                 "by the estimate of F_v times the reference velocity, nothing once that velocity is zero.",
-                 (ONE_QUADRANT, BELIEVED), (("put back into (24) it leaves (25)", closes),)),
+                 "(26) inserted into (24). As printed, the viscous compensation acts on the relative velocity: it "
+                 "differs by the estimate of F_v times the reference velocity, which is zero in co-manipulation.",
+                 (ONE_QUADRANT, BELIEVED), (("inserted into (24) it gives (25)", closes),)),
         compared("The law for co-manipulation", "28", Equation(y.tau_m, derived["28"]), "(27) with these two.",
                  (ONE_QUADRANT, BELIEVED, AT_REST)),
         compared("Observer of the external force", "29", Equation(y.tau_eh, derived["29"]),
-                 "(24) solved for the external force, with the motor force read from the current.",
+                 "(24) solved for the external force, with the motor force from the current.",
                  (ONE_QUADRANT, BELIEVED, IDEAL), (("it is the tau_e of (24)", same_force),)),
         compared("The law without a force sensor", "30", Equation(y.tau_m, derived["30"]),
-                 "(29) put into (28). As printed the current's term carries a factor 2 that does not follow, and F_v "
-                 "and F_c have lost their hats.", (ONE_QUADRANT, BELIEVED, AT_REST, IDEAL),
-                 (("it is (28) with (29) in the place of tau_e",
+                 "(29) inserted into (28). As printed, the term of the current has an additional factor 2, and the "
+                 "hats of F_v and F_c are missing.", (ONE_QUADRANT, BELIEVED, AT_REST, IDEAL),
+                 (("it is (28) with (29) for tau_e",
                    sp.expand(derived["30"].expression - sum_of_two) == 0),)),
     ]  # fmt: skip
 
@@ -452,11 +453,11 @@ def _closed_steps(law: sp.Expr) -> list[DerivationStep]:
     rests_on = (IDEAL, "no filters, continuous time")
     steps = []
     for title, tried, rests, words in (
-        ("Felt with the law as derived", law, rests_on, "What the errors of the estimates leave."),
+        ("Felt with the law as derived", law, rests_on, "The target and the errors of the estimates."),
         ("Felt with the law as derived, estimates exact", law.subs(exact), (*rests_on, "exact estimates"),
          "Exactly the target."),
         ("Felt with (30) as printed, estimates exact", printed_law().subs(exact), (*rests_on, "exact estimates"),
-         "More mass, more damping, and dry friction is left."),
+         "More mass, more damping, and remaining dry friction."),
     ):  # fmt: skip
         felt = felt_under(tried)
         coefficients = tuple(sp.factor(value) for value in felt.values())
@@ -473,7 +474,7 @@ def _closed_steps(law: sp.Expr) -> list[DerivationStep]:
         *steps,
         DerivationStep(
             "Creep speed", "", Equation(v, sp.factor(creep)),
-            "No external force, constant velocity: above zero where Coulomb friction is over-estimated.", rests_on,
+            "No external force, constant velocity: positive if Coulomb friction is over-estimated.", rests_on,
             (("over-estimated by epsilon it is epsilon F_c/(B - epsilon F_v)",
               sp.simplify(over - error * y.F_c / (y.B - error * y.F_v)) == 0),),
         ),

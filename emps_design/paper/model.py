@@ -3,7 +3,7 @@
 (1) to (5): drive and carriage from Newton's law, and the model linear in its parameters. (12) to (23): least squares
 for any number of samples and parameters, its statistics, and the observed force.
 
-A step has an equation, its assumptions, the claims that the program checked, and the printed equation.
+A step has an equation, its assumptions, the statements checked by the program, and the printed equation.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ J, m, T, T_s, f = sp.symbols("J m T T_s f", positive=True)
 qdd_m = sp.Symbol(r"\ddot{q}_m", real=True)
 
 RIGID = "rigid: the motor turns by q_m = r q"
-LOSSLESS = "the screw loses nothing: friction is counted on the load side"
+LOSSLESS = "the screw has no losses: friction is referred to the load side"
 CURRENT_LOOP = "the current loop is a gain, 20 times faster than the velocity loop"
 LINE = "friction is a straight line in each direction, away from rest"
 
@@ -50,10 +50,10 @@ X_true = sp.MatrixSymbol("X", y.p, 1)
 class DerivationStep(Viewed):
     """One step of a derivation.
 
-    ``number`` is the equation number of the paper ("" for a step between two of its equations), ``assumes`` what the
-    step rests on, and ``checks`` the claims that the program tried, each with whether it holds. Where the paper prints
-    the equation, ``printed`` holds it as printed, ``read_as`` its undefined symbols with those that they must
-    stand for, and ``difference`` is printed minus derived right-hand side, so read.
+    ``number`` is the equation number of the paper ("" for a step between two of its equations), ``assumes`` are the
+    assumptions of the step, and ``checks`` the checked statements, each with whether it holds. If the paper prints the
+    equation, ``printed`` has it as printed, ``read_as`` its undefined symbols with those that they must mean, and
+    ``difference`` is the printed minus the derived right-hand side with these symbols.
     """
 
     title: str
@@ -73,17 +73,17 @@ class DerivationStep(Viewed):
 
     @property
     def holds(self) -> bool:
-        """Whether every claim of the step was found true."""
+        """Whether all checked statements are true."""
         return all(true for _, true in self.checks)
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the printed equation is the derived one, symbol by symbol; None where nothing was compared."""
+        """Whether the printed equation is the derived one, symbol by symbol; None without a printed equation."""
         return None if self.printed is None else self.difference == 0 and not self.read_as
 
     @property
     def verdict(self) -> str:
-        """The step in a few words, "" where there is nothing to compare."""
+        """The verdict in a few words, "" without a printed equation."""
         if not self.holds:
             return FAILS
         if self.printed is None:
@@ -94,7 +94,7 @@ class DerivationStep(Viewed):
         return f"{AS_PRINTED} once {read}" if read else AS_PRINTED
 
     def view(self) -> View:
-        """The step with its verdict, what it assumes and what was checked, and the equation beside a printed one."""
+        """The step with its verdict, assumptions, checked statements, and its equation with the printed one."""
         title = "  ".join(filter(None, (self.title, f"({self.number})" if self.number else "", self.verdict)))
         style = "good" if self.agrees else "bad" if self.verdict else "strong"
         return (
@@ -108,7 +108,7 @@ class DerivationStep(Viewed):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Words, and equations as LaTeX and as text."""
+        """Texts, and equations as LaTeX and as text."""
 
         def both(written: Any) -> dict[str, str] | None:
             return None if written is None else {"latex": latex(written), "text": text(written)}
@@ -166,7 +166,7 @@ def _drive() -> DerivationStep:
     written = Sum(((y.G_i, y.r, y.k_t, y.v_I),))
     return compared(
         "Force of the drive", "1", Equation(y.tau_m, written),
-        "The power of the motor's torque T = k_t I_m is that of the force on the carriage: tau_m = r T.",
+        "The power of the motor torque T = k_t I_m equals that of the force on the carriage: tau_m = r T.",
         (RIGID, LOSSLESS, CURRENT_LOOP),
         (("the power balance gives this product", sp.simplify(force - written.expression) == 0),),
     )  # fmt: skip
@@ -180,8 +180,8 @@ def _unit() -> DerivationStep:
     k_t = sp.Symbol("[k_t]")
     return DerivationStep(
         "Unit of the torque constant", "1", Equation(k_t, needed),
-        "With tau_m in N, G_i in A/V, r in rad/m and v_I in V, k_t is a torque over a current.",
-        ("the units of section II-A for all but k_t",),
+        "With tau_m in N, G_i in A/V, r in rad/m and v_I in V, k_t is a torque per current.",
+        ("the units of section II-A except for k_t",),
         printed=Equation(k_t, printed), difference=sp.simplify(printed - needed),
     )  # fmt: skip
 
@@ -200,18 +200,19 @@ def _carriage() -> list[DerivationStep]:
     return [
         DerivationStep(
             "Rotor and screw", "", Equation(J * qdd_m, Sum(((T,), (-1, T_s)))),
-            "The motor turns its own inertia J (rotor, coupling, screw) and the screw with T_s.", (RIGID,),
+            "The motor torque accelerates the inertia J (rotor, coupling, screw) and loads the screw with T_s.",
+            (RIGID,),
         ),
         DerivationStep(
             "Equivalent mass", "", Equation(y.M, equivalent),
-            "The screw pushes with f = r T_s; m is what translates. Coefficient of the acceleration after T, T_s and f "
-            "are solved away.", (RIGID, LOSSLESS),
+            "The screw force is f = r T_s; m is the translating mass. Coefficient of the acceleration after "
+            "elimination of T, T_s and f.", (RIGID, LOSSLESS),
         ),
         compared(
             "Inverse dynamic model", "2", Equation(Sum(((y.tau_m,), (y.tau_e,))), derived),
-            "Newton's law for rotor and carriage, the force inside the screw solved away.",
+            "Newton's law for rotor and carriage, with the force in the screw eliminated.",
             (RIGID, LOSSLESS, LINE, "no gravity along the axis"),
-            (("nothing but mass and friction is left", difference == 0),),
+            (("only mass and friction remain", difference == 0),),
         ),
     ]  # fmt: skip
 
@@ -229,11 +230,11 @@ def _friction() -> list[DerivationStep]:
     return [
         compared(
             "Friction", "3", Equation(sp.Symbol("F_{fc}"), Sum(((steady.coeff(y.qd), y.qd), (steady.coeff(y.S), y.S)))),
-            "What (2) asks for at constant speed.", (LINE,),
+            "(2) at constant speed.", (LINE,),
         ),
         compared(
             "Break-away", "4", stribeck,
-            "A model, not a consequence: it starts from F_s and tends to (3).", ("F_s > F_c", "1 <= delta_s <= 2"),
+            "A model, not a derivation: it is F_s at rest and tends to (3).", ("F_s > F_c", "1 <= delta_s <= 2"),
             (("F_fs tends to F_s at rest", at_rest == y.F_s), ("F_fs - F_fc tends to 0 at high speed", far == 0)),
         ),
         DerivationStep(
@@ -256,13 +257,13 @@ def _linear() -> DerivationStep:
         checks.append((f"W X is (2) moving {name}", sp.expand((sp.Matrix([row]) * X)[0] - model) == 0))
     return compared(
         "Linear in the parameters", "5", EQUATIONS["5"][0],
-        "W = [qdd, qd+, qd-, sign(qd+), sign(qd-)] with X = [M, F_v+, F_v-, F_c+, F_c-]; what belongs to the other "
-        "direction is zero.", (LINE,), tuple(checks),
+        "W = [qdd, qd+, qd-, sign(qd+), sign(qd-)] with X = [M, F_v+, F_v-, F_c+, F_c-]; the columns of the other "
+        "direction are zero.", (LINE,), tuple(checks),
     )  # fmt: skip
 
 
 def estimator(W: sp.MatrixExpr = y.W_1) -> sp.MatrixExpr:
-    """The matrix that makes the estimate of the forces: ``(W^T W)^-1 W^T``, for any n x p."""
+    """The matrix of the least-squares estimate from the forces: ``(W^T W)^-1 W^T``, for any n x p."""
     return sp.Inverse(W.T * W) * W.T
 
 
@@ -281,7 +282,7 @@ def derive_least_squares() -> tuple[DerivationStep, ...]:
 def _free() -> DerivationStep:
     return compared(
         "Without an external force", "12", Equation(y.tau_m1, y.W_1v * y.X_1),
-        "(5) with tau_e = 0, a row for each sample.", ("nobody touches the carriage",),
+        "(5) with tau_e = 0, one row per sample.", ("nobody touches the carriage",),
     )  # fmt: skip
 
 
@@ -289,8 +290,8 @@ def _noise() -> DerivationStep:
     square = (rho * rho.T).shape == (y.n, y.n)
     return compared(
         "Covariance of the noise", "13", Equation(y.C_rho, y.sigma**2 * y.I_n),
-        "rho has a row for each of the n samples; N is the reader's or the printer's n.",
-        ("samples are independent and equally noisy",), (("rho rho^T is n x n", square),),
+        "rho has one row for each of the n samples; the printed N must be n.",
+        ("samples are independent and have equal variance",), (("rho rho^T is n x n", square),),
     )  # fmt: skip
 
 
@@ -301,11 +302,11 @@ def _normal() -> DerivationStep:
     across = (y.W_1.T * residual).expand().doit()
     exact = (A * y.W_1).doit() == sp.Identity(y.p)
     return compared(
-        "What is left over", "17", Equation(y.tau_m1, Sum(((y.W_1v, y.X_1h), (y.e_1,)))),
-        "e_1 is what the estimate leaves; least squares makes it orthogonal to every column of W_1.", (FULL_RANK,),
+        "Residual", "17", Equation(y.tau_m1, Sum(((y.W_1v, y.X_1h), (y.e_1,)))),
+        "e_1 is the residual of the estimate; least squares makes it orthogonal to every column of W_1.", (FULL_RANK,),
         (
             ("W_1^T e_1 = 0", across == sp.ZeroMatrix(y.p, 1) or across == 0),
-            ("forces without noise give the parameters back", exact),
+            ("forces without noise give the exact parameters", exact),
         ),
     )  # fmt: skip
 
@@ -334,7 +335,7 @@ def covariance(A: sp.MatrixExpr, sigma: sp.Symbol = y.sigma) -> sp.MatrixExpr:
 
 
 def covariance_step(A: sp.MatrixExpr | None = None) -> DerivationStep:
-    """(15) for any n x p, from the matrix ``A`` that makes the estimate; by default :func:`estimator`."""
+    """(15) for any n x p, from the matrix ``A`` of the estimate, by default :func:`estimator`."""
     A = estimator() if A is None else A
     W, identity = y.W_1, sp.Identity(y.n)
     error = (A * (W * X_true + rho)).expand().doit() - X_true
@@ -348,12 +349,12 @@ def covariance_step(A: sp.MatrixExpr | None = None) -> DerivationStep:
     inverse = (C * W.T * W / y.sigma**2).doit()
     return DerivationStep(
         "Covariance of the estimate", "15", Equation(y.C_x, C),
-        "The estimate is off by A rho with A = (W_1^T W_1)^-1 W_1^T, and E(A rho rho^T A^T) = sigma_rho^2 A A^T. As "
-        "printed there is nothing to invert: W_1 W_1^T is n x n and sends every column of I - H to zero, "
-        "which is not zero while n > p; C is p x p.",
+        "The error of the estimate is A rho with A = (W_1^T W_1)^-1 W_1^T, and E(A rho rho^T A^T) = sigma_rho^2 A A^T. "
+        "The printed inverse does not exist: W_1 W_1^T is n x n and maps every column of I - H to zero, "
+        "which is not zero for n > p; C is p x p.",
         (FULL_RANK, WHITE),
         (
-            ("the estimate is off by A rho", (error - A * rho).expand().doit() == sp.ZeroMatrix(y.p, 1)),
+            ("the error of the estimate is A rho", (error - A * rho).expand().doit() == sp.ZeroMatrix(y.p, 1)),
             ("C W_1^T W_1 / sigma_rho^2 is the identity", inverse == sp.Identity(y.p)),
             ("W_1 W_1^T (I - H) = 0", sent_to_zero),
             ("tr(I - H) = n - p", sp.simplify(more - (y.n - y.p)) == 0),
@@ -366,7 +367,7 @@ def covariance_step(A: sp.MatrixExpr | None = None) -> DerivationStep:
 
 
 def _interval(cell: str, cut: bool) -> tuple[float, float]:
-    """The numbers that are printed as ``cell``: rounded to its last digit, or cut off after it."""
+    """The ranges of numbers printed as ``cell``: rounded to its last digit, or truncated after it."""
     unit = 10.0 ** -(len(cell.split(".")[1]) if "." in cell else 0)
     value = float(cell)
     return (value, value + unit) if cut else (value - 0.5 * unit, value + 0.5 * unit)
@@ -391,7 +392,7 @@ def relative_deviation_step() -> DerivationStep:
             cut_low, cut_high = column_factor(row, cut=True)
             factors.append(0.5 * (low + high))
             rounded, either = low <= 2.0 <= high, cut_low <= 2.0 <= cut_high
-            how = "" if rounded else ", digits cut off rather than rounded"
+            how = "" if rounded else ", truncated instead of rounded"
             where = {"table_1": "Table I", "table_2": "Table II"}[table]
             checks.append((f"{where}, {name.replace('_', ' ')}: twice (16){how}", rounded or either))
             checks.append((f"{where}, {name.replace('_', ' ')}: not (16) itself", not low <= 1.0 <= high))
@@ -400,18 +401,18 @@ def relative_deviation_step() -> DerivationStep:
     derived = Equation(percent_sigma, factor * 100 * y.sigma_x / sp.Abs(y.x))
     return compared(
         "Relative standard deviation in Tables I and II", "16", derived,
-        "The column holds two standard deviations over the value, (16) says one; within the digits, in every row.",
-        ("a printed number lies within half of its last digit, or was cut off after it",), tuple(checks),
+        "The column has two standard deviations over the value, (16) has one; within the printed digits, in every row.",
+        ("a printed number is rounded to its last digit, or truncated after it",), tuple(checks),
     )  # fmt: skip
 
 
 def _observation() -> list[DerivationStep]:
-    """(18) to (23) from (5); order counts in W X, so these are solved by hand and the program puts them back."""
+    """(18) to (23) from (5); W X does not commute, so these are solved by hand and checked by substitution."""
     balance = "(5) on the second experiments"
 
     def solved(unknown: sp.Symbol, W: sp.Symbol, X: sp.Symbol, motor: sp.Symbol) -> tuple[Equation, tuple[str, bool]]:
         force = Sum(((W, X), (-1, motor)))
-        return Equation(unknown, force), ("put back into (5)", sp.expand(motor + force.expression - W * X) == 0)
+        return Equation(unknown, force), ("substituted into (5)", sp.expand(motor + force.expression - W * X) == 0)
 
     observed, back = solved(y.tau_e2, y.W_2, y.X_2, y.tau_m2)
     cross, cross_back = solved(y.tau_e2h, y.W_2, y.X_1m, y.tau_m2)
@@ -421,16 +422,16 @@ def _observation() -> list[DerivationStep]:
     return [
         compared(
             "External force from the model", "18", observed,
-            "(5) solved for the external force, as (19) and (23) have it; (18) is printed with the opposite sign.",
+            "(5) solved for the external force, as in (19) and (23); (18) is printed with the opposite sign.",
             (balance,), (back,),
         ),
         compared(
-            "The same from parameters found before", "19", cross, "X_2 is not known: the mean of ten identifications "
-            "takes its place.", (balance, "friction is that of the identification"), (cross_back,),
+            "The same with identified parameters", "19", cross, "X_2 is unknown: the mean of ten identifications "
+            "replaces it.", (balance, "friction is that of the identification"), (cross_back,),
         ),
         compared(
             "Error of the observer", "20", Equation(y.tau_e2, Sum(((y.tau_e2h,), (y.e_2,)))),
-            "e_2 is what (19) is off by.", (balance,),
+            "e_2 is the error of (19).", (balance,),
         ),
         compared(
             "Direct validation", "21", Equation(y.Y, Sum(((y.tau_mv,), (y.tau_ev,)))),
@@ -438,10 +439,10 @@ def _observation() -> list[DerivationStep]:
         ),
         compared(
             "Its error", "22", Equation(y.Y, Sum(((y.W, y.X_hat), (y.e_i,)))),
-            "e_i is what least squares leaves.", ("the sensor reads the force on the carriage",),
+            "e_i is the residual of least squares.", ("the sensor reads the force on the carriage",),
         ),
         compared(
-            "Its observed force", "23", own, "(21) and (22): the measured force less the observed one is e_i.",
+            "Its observed force", "23", own, "(21) and (22): the measured minus the observed force is e_i.",
             ("the sensor reads the force on the carriage",),
             (own_back, ("tau_e minus the observed force is e_i", sp.expand(observer_error - error) == 0)),
         ),

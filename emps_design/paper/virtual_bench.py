@@ -1,11 +1,11 @@
-"""A bench that behaves like the paper's: ten identification and ten co-manipulation experiments from one seed.
+"""A virtual bench like that of the paper: ten identification and ten co-manipulation experiments from one seed.
 
-The records of the 2018 paper are not public. This machine has the two-quadrant friction of its Table I, and, chosen
-so that tables and errors come out as printed, what such a machine has besides: friction that bends, break-away,
-friction that depends on position and drifts between experiments, noise of the friction, an encoder, and a force sensor
-with a gripper in front of it. ``NUMBERS`` has every number with its unit, whether it is the paper's or chosen, and why;
-``benchmarks/table_2.py`` shows by a sweep which of them make Table II. :func:`reproduce_section_3` evaluates the bench
-as section III does: Tables I and II, the errors, and the curves of Figs. 3 to 10.
+The records of the 2018 paper are not public. This machine has the two-quadrant friction of its Table I, and further
+effects of such a machine, chosen so that tables and errors are as printed: nonlinear friction, break-away, friction
+that depends on position and drifts between experiments, noise of the friction, an encoder, and a force sensor with a
+gripper in front of it. ``NUMBERS`` has every number with its unit, its origin (the paper or chosen), and the reason;
+``benchmarks/table_2.py`` shows by a sweep which of them determine Table II. :func:`reproduce_section_3` evaluates the
+bench as in section III: Tables I and II, the errors, and the curves of Figs. 3 to 10.
 """
 
 from __future__ import annotations
@@ -67,43 +67,47 @@ NUMBERS: dict[str, BenchNumber] = {
     "phase_margin": _chosen(60.0, "deg", "the paper gives none"),
     "bend_positive": _chosen(31.3, "N", "at 0.1 m/s: Table II's F_v+ at low speed is above Table I's"),
     "bend_negative": _chosen(49.1, "N", "at 0.1 m/s: Table II's F_v- at low speed is well above Table I's"),
-    "bend_exponent": _chosen(0.45, "", "steep near rest, then flatter, as grease that shears"),
-    "viscous_less_positive": _chosen(339.4, "N/(m/s)", "so that the bent friction identifies as Table I's F_v+"),
-    "viscous_less_negative": _chosen(571.5, "N/(m/s)", "so that the bent friction identifies as Table I's F_v-"),
-    "coulomb_less_positive": _chosen(7.52, "N", "so that the bent friction identifies as Table I's F_c+"),
-    "coulomb_less_negative": _chosen(11.04, "N", "so that the bent friction identifies as Table I's F_c-"),
-    "mass_less": _chosen(1.3, "kg", "so that the mass identifies as Table I's, reversals included"),
+    "bend_exponent": _chosen(0.45, "", "steep near rest, then flatter, as with shear thinning of grease"),
+    "viscous_less_positive": _chosen(339.4, "N/(m/s)", "so that the identified F_v+ is that of Table I"),
+    "viscous_less_negative": _chosen(571.5, "N/(m/s)", "so that the identified F_v- is that of Table I"),
+    "coulomb_less_positive": _chosen(7.52, "N", "so that the identified F_c+ is that of Table I"),
+    "coulomb_less_negative": _chosen(11.04, "N", "so that the identified F_c- is that of Table I"),
+    "mass_less": _chosen(1.3, "kg", "so that the identified mass is that of Table I, reversals included"),
     "break_away_excess": _chosen(7.1, "N", "so that the test at rest gives the F_s of 17 N of section III-A"),
-    "stribeck_velocity": _chosen(0.0005, "m/s", "a ball screw's excess is gone within a few mm/s"),
+    "stribeck_velocity": _chosen(0.0005, "m/s", "the excess of a ball screw vanishes within a few mm/s"),
     "stribeck_exponent": _chosen(1.0, "", "the paper allows 1 to 2"),
-    "position_amplitude": _chosen(5.5, "N", "where the operator works friction is higher: RMS_2 of 3.9-5.4 N"),
-    "position_length": _chosen(0.35, "m", "slow, so that neither small workspace sees it change"),
+    "position_amplitude": _chosen(5.5, "N", "friction is higher in the workspace of the operator: RMS_2 of 3.9-5.4 N"),
+    "position_length": _chosen(0.35, "m", "long, so that friction is constant within each small workspace"),
     "ripple_amplitude": _chosen(1.5, "N", "1 N at 2.5 mm in the 2019 record of the same machine, here older"),
     "ripple_period": _chosen(0.0025, "m", "one revolution, from the 2019 record of the same machine"),
-    "friction_noise": _chosen(1.78, "N", "brings direct validation to 2.7-3.4 N"),
-    "friction_noise_spread": _chosen(0.13, "", "of the noise from experiment to experiment: the ranges' width"),
-    "friction_noise_speed": _chosen(0.0152, "m/s", "at which it has doubled: brings RMS_1 to 3.6-5.3 N"),
-    "friction_noise_time": _chosen(0.06, "s", "slow enough to pass the filters, as the residual of 2019 does"),
+    "friction_noise": _chosen(1.78, "N", "gives a direct validation error of 2.7-3.4 N"),
+    "friction_noise_spread": _chosen(0.13, "", "of the noise between experiments: from the width of the ranges"),
+    "friction_noise_speed": _chosen(0.0152, "m/s", "at which the noise has doubled: gives RMS_1 of 3.6-5.3 N"),
+    "friction_noise_time": _chosen(0.06, "s", "slow enough to pass the filters, like the residual of 2019"),
     "drift": _chosen(0.015, "", "std of the friction from one experiment to the next: lubrication, temperature"),
     "voltage_noise": _chosen(0.004, "V", "3.7 mV in the 2019 record"),
     "sensor_noise": _chosen(0.05, "N", "1 % of the sensor's range; the paper calls it insignificant"),
-    "sensor_gain_error": _chosen(0.0, "", "the paper takes the sensor's force for the real one"),
+    "sensor_gain_error": _chosen(0.0, "", "the paper assumes that the sensor force is the real one"),
     "sensor_lag": _chosen(0.0, "s", "first-order; the paper gives none"),
-    "sensor_offset": _chosen(1.02, "N", "zero of the sensor, or the pull of a cable, from one day to the other"),
+    "sensor_offset": _chosen(1.02, "N", "zero of the sensor, or the pull of a cable, from day to day"),
     "mass_beyond_sensor": _chosen(8.75, "kg", "gripper in front of the sensor"),
     "kp": _chosen(160.18, "1/s", "position controller of 2019; the paper gives none"),
     "kv": _chosen(243.45, "V/(m/s)", "position controller of 2019; the paper gives none"),
-    "speed": _chosen(0.04, "m/s", "of the trajectory; Table I's deviation of F_v over that of F_c says so"),
-    "ramp": _chosen(0.1, "s", "of the trajectory; Table I's deviation of M over that of F_c says so"),
-    "duration": _chosen(40.0, "s", "of identification; Table I's deviations over its RMS_1 say so"),
-    "workspace": _chosen(0.04, "m", "where co-manipulation starts: away from where the parameters were found"),
-    "hand_duration": _chosen(110.0, "s", "of co-manipulation; Table II's deviations over its RMS error say so"),
+    "speed": _chosen(0.04, "m/s", "of the trajectory; from the ratio of the deviations of F_v and F_c in Table I"),
+    "ramp": _chosen(0.1, "s", "of the trajectory; from the ratio of the deviations of M and F_c in Table I"),
+    "duration": _chosen(40.0, "s", "of identification; from the ratio of the deviations of Table I and RMS_1"),
+    "workspace": _chosen(0.04, "m", "start of co-manipulation: away from the place of identification"),
+    "hand_duration": _chosen(
+        110.0, "s", "of co-manipulation; from the ratio of the deviations and the RMS error of Table II"
+    ),
     "hand_force": _chosen(2.5, "N", "largest step to either side of the force that keeps the carriage at rest"),
     "hand_least": _chosen(0.2, "", "smallest such step over the largest"),
-    "hand_bias": _chosen(1.0, "", "share of tau_ref that the hand balances; Table II says equal speeds both ways"),
-    "hand_ramp": _chosen(0.2, "s", "mean ramp of the operator's force, half as long to half as long again"),
-    "hand_floor": _chosen(0.65, "s", "mean floor of the operator's force, 0.6 to 1.4 times that"),
-    "k_e1": _chosen(0.005, "(m/s)/N", "low on purpose, as the paper says: Table II's deviations give the speed"),
+    "hand_bias": _chosen(
+        1.0, "", "share of tau_ref that the hand balances; Table II shows equal speeds in both directions"
+    ),
+    "hand_ramp": _chosen(0.2, "s", "mean ramp of the operator's force, 0.5 to 1.5 times that"),
+    "hand_floor": _chosen(0.65, "s", "mean duration of constant operator force, 0.6 to 1.4 times that"),
+    "k_e1": _chosen(0.005, "(m/s)/N", "low on purpose, as in the paper: the deviations of Table II give the speed"),
     "tau_ref": _of_paper(2.5, "N", "not zero, for a force at any time (III-B); its size is chosen, half the range"),
 }
 
