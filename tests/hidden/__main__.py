@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.hidden import generate
 from tests.hidden.score import TIMEOUT, rows, score_all, summary, table
 
-# Sets and seeds that were looked at while a rule was chosen.
+# Sets and seeds whose results were known when a rule was chosen.
 STEERED = {("all", 0), ("quick", 0), ("several", 100), ("beside", 100), ("unknown", 100)}
 STEERED |= {("several", 9101), ("beside", 9001), ("beside", 9201), ("beside", 9002)}
 STEERED |= {("several", 9302), ("beside", 9302), ("unknown", 9302), ("several", 9402)}
@@ -48,15 +48,13 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.folder or Path(scratch)
         if not any(folder.glob("*/truth.json")):
-            wanted = [str(folder), "--seed", str(options.seed), "--cases", options.cases]
-            generate.main(
-                [*wanted, "--count", str(options.count), "--only", options.only, *["--no-laps"] * options.no_laps]
-            )
+            words = [str(folder), "--seed", str(options.seed), "--cases", options.cases, "--only", options.only]
+            generate.main([*words, "--count", str(options.count), *["--no-laps"] * options.no_laps])
         scores = []
-        for one in score_all(folder, options.only, options.jobs, options.timeout):
-            scores.append(one)
-            said = " + ".join(one.named) or one.verdict
-            line = f"{one.case:55s} {one.result:9s} {said:50s} {one.closed:5.2f} {one.seconds:4.0f} s {one.note}"
+        for case in score_all(folder, options.only, options.jobs, options.timeout):
+            scores.append(case)
+            answer = " + ".join(case.named) or case.verdict
+            line = f"{case.case:55s} {case.result:9s} {answer:50s} {case.closed:5.2f} {case.seconds:4.0f} s {case.note}"
             print(line, file=sys.stderr, flush=True)
     if not scores:
         print(f"no case whose name contains {options.only!r}", file=sys.stderr)

@@ -31,13 +31,13 @@ from tests.hidden.programs import laps, multi_sine, wander
 VOLTAGE_NOISE = 4e-3  # V
 FORCE_NOISE = 0.35  # N for a 95 kg axis
 NOISE_BAND = 40.0  # Hz
-MOST_DRAWS = 500  # of a drive that is stable with what is hidden in it
-SEEN = 0.75  # of the floor, from which on an effect's own share of the gap can be asked for
+MOST_DRAWS = 500  # attempts at a drive that is stable with its hidden effects
+SEEN = 0.75  # of the floor: an effect with a smaller share of the gap need not be found
 SETS = ("quick", "all", "several", "crowded", "beside", "unknown", "small", "healthy")
-AT_LIMIT = (0.1, 0.33)  # share of the samples of a crowded drive that its motor spends at a limit nobody wrote down
+AT_LIMIT = (0.1, 0.33)  # share of the samples of a crowded drive at a motor limit that no file states
 SMALL = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)  # of size 1
 CROWDED = -1
-SKIP = 50  # samples at the start that no error counts
+SKIP = 50  # samples at the start without weight
 QUICK = (
     ("stribeck_friction",),
     ("position_ripple",),
@@ -85,17 +85,17 @@ def _drawn(which: str, number: int, rng: np.random.Generator) -> Case:
 
     In a crowded one a motor at its limit, or play, is in company of two or three others.
     """
-    plain = tuple(name for name in EFFECTS if name != "controller_disturbance")  # that one is seen in the law alone
+    physics = tuple(name for name in EFFECTS if name != "controller_disturbance")  # which the law alone shows
     strange = UNKNOWN[number % len(UNKNOWN)]
     if which == "several":
-        return Case(draw_several(rng, 3 + number % 2, plain), 0, number)
+        return Case(draw_several(rng, 3 + number % 2, physics), 0, number)
     if which == "crowded":
         first = ("actuator_saturation", "backlash")[number // 2 % 2]
-        others = draw_several(rng, len(plain), plain)
+        others = draw_several(rng, len(physics), physics)
         fit = [name for name in others if name != first and not any({name, first} <= alike for alike in ALIKE)]
         return Case((first, *fit[: 2 + number % 2]), CROWDED, number)
     if which == "beside":
-        return Case((*draw_several(rng, 1, plain), strange), 0, number)
+        return Case((*draw_several(rng, 1, physics), strange), 0, number)
     if which == "unknown":
         return Case((strange,), 0, number)
     if which == "small":
@@ -115,9 +115,9 @@ def run(
     drive: Drive, q_ref: np.ndarray, hidden: np.ndarray, rng: np.random.Generator | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Position [m] and voltage [V] of the drive along ``q_ref``; noise where ``rng`` is given."""
-    quiet = np.zeros(q_ref.size)
-    volts = VOLTAGE_NOISE * rng.standard_normal(q_ref.size) if rng is not None else quiet
-    force = force_noise(rng, q_ref.size, drive) if rng is not None else quiet
+    no_noise = np.zeros(q_ref.size)
+    volts = VOLTAGE_NOISE * rng.standard_normal(q_ref.size) if rng is not None else no_noise
+    force = force_noise(rng, q_ref.size, drive) if rng is not None else no_noise
     mechanics = np.array([drive.mass, drive.viscous, drive.coulomb, drive.offset, drive.gain, drive.limit])
     law = np.array([drive.kp, drive.kv])
     return simulate(q_ref, drive.period, mechanics, drive.resolution, law, hidden, volts, force)
@@ -125,14 +125,14 @@ def run(
 
 def refit(drive: Drive, q_ref: np.ndarray, u: np.ndarray) -> Drive:
     """The baseline whose closed loop is nearest to the recorded voltage (Gauss-Newton, central differences)."""
-    names, none = ("mass", "viscous", "coulomb", "offset"), numbers()
+    names, healthy = ("mass", "viscous", "coulomb", "offset"), numbers()
     x = np.array([getattr(drive, name) for name in names])
     step = np.array([0.004 * drive.mass, 0.02 * drive.viscous, 0.02 * drive.coulomb, 0.02 * drive.coulomb])
     lowest = np.array([0.2 * drive.mass, 0.0, 0.0, -np.inf])
 
     def residual(x: np.ndarray) -> np.ndarray:
         trial = replace(drive, **dict(zip(names, np.maximum(x, lowest), strict=True)))
-        return (u - run(trial, q_ref, none)[1])[SKIP:]
+        return (u - run(trial, q_ref, healthy)[1])[SKIP:]
 
     r, damping = residual(x), 0.0
     for _ in range(15):
@@ -141,25 +141,27 @@ def refit(drive: Drive, q_ref: np.ndarray, u: np.ndarray) -> Drive:
         normal, slope = jacobian.T @ jacobian, jacobian.T @ r
         for _ in range(5):
             downhill = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
-            moved = np.maximum(x - step * downhill, lowest)  # beyond a bound no step of a number changes anything
-            left = residual(moved)
-            if left @ left < r @ r:
+            trial = np.maximum(x - step * downhill, lowest)
+            trial_r = residual(trial)
+            if trial_r @ trial_r < r @ r:
                 break
             damping = max(10 * damping, 1e-3)
         else:
             break
-        gained, x, r, damping = 1 - (left @ left) / (r @ r), moved, left, damping / 10
-        if gained < 1e-4:
+        gain, x, r, damping = 1 - (trial_r @ trial_r) / (r @ r), trial, trial_r, damping / 10
+        if gain < 1e-4:
             break
     return replace(drive, **dict(zip(names, x, strict=True)))
 
 
-def own_gap(drive: Drive, q_ref: np.ndarray, u: np.ndarray, hidden: dict[str, float], own: dict[str, float]) -> float:
-    """Rms force [N] that the plant without the effect of numbers ``own`` misses, the baseline adjusted to first order.
+def own_gap(
+    drive: Drive, q_ref: np.ndarray, u: np.ndarray, hidden: dict[str, float], effect: dict[str, float]
+) -> float:
+    """Rms force [N] that the plant without ``effect`` does not explain, the baseline adjusted to first order.
 
     ``u`` [V] is the voltage of the plant with all of ``hidden``, without noise.
     """
-    rest = numbers(**{name: value for name, value in hidden.items() if name not in own})
+    rest = numbers(**{name: value for name, value in hidden.items() if name not in effect})
     without = run(drive, q_ref, rest)[1]
     columns = [
         (run(replace(drive, **{name: value + 0.02 * size}), q_ref, rest)[1] - without)[SKIP:]
@@ -170,21 +172,21 @@ def own_gap(drive: Drive, q_ref: np.ndarray, u: np.ndarray, hidden: dict[str, fl
             ("offset", drive.offset, drive.coulomb),
         )
     ]
-    design, missed = np.column_stack(columns), (u - without)[SKIP:]
-    return float(drive.gain * np.std(missed - design @ np.linalg.lstsq(design, missed, rcond=None)[0]))
+    design, error = np.column_stack(columns), (u - without)[SKIP:]
+    return float(drive.gain * np.std(error - design @ np.linalg.lstsq(design, error, rcond=None)[0]))
 
 
-def biting_limit(drive: Drive, q_ref: np.ndarray, hidden: dict[str, float], share: float) -> float:
+def limit_at_share(drive: Drive, q_ref: np.ndarray, hidden: dict[str, float], share: float) -> float:
     """The limit [V] at which the motor of a plant with ``hidden`` effects spends ``share`` of its samples (bisection).
 
-    A motor at its limit falls behind and is asked for more: a quantile of the free command would bite too hard.
+    A motor at its limit falls behind, and the command grows: a quantile of the free command would be too low.
     """
     low, high = 0.0, drive.limit
     for _ in range(12):
         limit = 0.5 * (low + high)
         u = run(drive, q_ref, numbers(**{**hidden, "clip": limit}))[1]
-        bites = float(np.mean(np.abs(u[SKIP:]) >= limit)) > share or not np.all(np.isfinite(u))
-        low, high = (limit, high) if bites else (low, limit)
+        beyond = float(np.mean(np.abs(u[SKIP:]) >= limit)) > share or not np.all(np.isfinite(u))
+        low, high = (limit, high) if beyond else (low, limit)
     return high
 
 
@@ -219,7 +221,7 @@ def train_program(rng: np.random.Generator, drive: Drive, repeats: bool) -> np.n
 
 
 def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
-    """Draw drives until the loop is stable and away from its limit; returns everything a case's folder holds.
+    """Draw drives until the loop is stable and away from its limit; return the contents of the case's folder.
 
     ``repeats`` False: the training program has no laps.
     """
@@ -233,7 +235,7 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
             hold_ref = multi_sine(rng, drive.travel, 0.5 * drive.acceleration, 20000, drive.period)
         healthy = numbers()
         clean = [run(drive, ref, healthy)[1] for ref in (train_ref, hold_ref)]
-        hidden, truth, own = {}, {}, {}
+        hidden, truth, effects = {}, {}, {}
         for name in case.effects:
             size = case.size if case.size > 0 else int(rng.integers(1, 3))
             values, words = draw_effect(name, rng, drive, size, float(np.abs(clean[0][SKIP:]).max()))
@@ -243,10 +245,10 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
                 words[name][outside] *= case.share
             hidden.update(values)
             truth.update(words)
-            own[name] = values
+            effects[name] = values
         if case.size == CROWDED and "clip" in hidden:
-            hidden["clip"] = own["actuator_saturation"]["clip"] = truth["actuator_saturation"]["limit"] = biting_limit(
-                drive, train_ref, hidden, float(rng.uniform(*AT_LIMIT))
+            hidden["clip"] = effects["actuator_saturation"]["clip"] = truth["actuator_saturation"]["limit"] = (
+                limit_at_share(drive, train_ref, hidden, float(rng.uniform(*AT_LIMIT)))
             )
         plant = numbers(**hidden)
         records = [run(drive, ref, plant, rng) for ref in (train_ref, hold_ref)]
@@ -264,7 +266,7 @@ def make(case: Case, seed: int, repeats: bool = True) -> dict[str, object]:
         for (_, u), ref in zip(records, (train_ref, hold_ref), strict=True)
     ]
     sizes = [misfit(drive, with_it, without) for with_it, without in zip(perfect, clean, strict=True)]
-    gaps = {name: own_gap(drive, train_ref, perfect[0], hidden, values) for name, values in own.items()}
+    gaps = {name: own_gap(drive, train_ref, perfect[0], hidden, values) for name, values in effects.items()}
     known = [name for name in case.effects if name not in UNKNOWN]
     return {
         "axis.toml": axis_file(rng, drive),
@@ -311,7 +313,7 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             contents = make(case, options.seed, not options.no_laps)
         except RuntimeError as error:
-            print(f"left out: {error}", file=sys.stderr)  # a stop that the clipped motor cannot push into, say
+            print(f"skipped: {error}", file=sys.stderr)  # for example an end stop that the limited motor does not reach
             continue
         write(options.folder / case.name, contents)
         truth = contents["truth.json"]

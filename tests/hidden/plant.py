@@ -240,11 +240,11 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
                 f += far_rub * viscous * v
                 level -= far_rub * coulomb
             level = max(0.0, level)
-            own = m
+            inertia = m
             if part > 0.0:
                 w = tau_2 * f_c
                 reduced = m * part * (1.0 - part)
-                own, other = m * (1.0 - part), m * part
+                inertia, other = m * (1.0 - part), m * part
                 d, contact = q - q2, 0.0
                 if gap == 0.0 or abs(d) > 0.5 * gap:
                     bite = d - math.copysign(0.5 * gap, d)
@@ -261,12 +261,12 @@ def simulate(q_ref, period, drive, resolution, law, p, voltage_noise, force_nois
                 # exact over the sub-step for its speed: the bristle relaxes to L sign(v) over L / stiffness of travel
                 end = math.copysign(level / dahl, v)
                 z = end + (z - end) * math.exp(-dahl * abs(v) * h / max(level, 1e-9))
-                v += h * (f - dahl * z) / own
+                v += h * (f - dahl * z) / inertia
             elif v == 0.0:
                 if abs(f) > level:
-                    v = h * (f - math.copysign(level, f)) / own
+                    v = h * (f - math.copysign(level, f)) / inertia
             else:
-                moved = v + h * (f - math.copysign(level, v)) / own
+                moved = v + h * (f - math.copysign(level, v)) / inertia
                 v = 0.0 if moved * v < 0.0 else moved
             q += h * v
     return q_out, u_out

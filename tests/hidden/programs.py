@@ -14,18 +14,18 @@ def stroke(start: float, stop: float, speed: float, acceleration: float, period:
     t = np.linspace(0.0, total, int(np.ceil(total / period)) + 1)[1:]
     up, down = np.clip(t, 0, rise), np.clip(t - (total - rise), 0, rise)
     flat = np.clip(t - rise, 0, total - 2 * rise)
-    way = acceleration * up**2 / 2 + speed * flat + speed * down - acceleration * down**2 / 2
-    return start + np.sign(stop - start) * way
+    distance = acceleration * up**2 / 2 + speed * flat + speed * down - acceleration * down**2 / 2
+    return start + np.sign(stop - start) * distance
 
 
 def laps(
     rng: np.random.Generator, travel: float, speeds: list[float], acceleration: float, count: int, period: float
 ) -> np.ndarray:
-    """``count`` identical laps over ``travel`` [m]: each way in as many parts as there are ``speeds`` [m/s]."""
+    """``count`` identical laps over ``travel`` [m]: each direction in as many strokes as there are ``speeds`` [m/s]."""
     pieces, here = [np.zeros(round(rng.uniform(0.05, 0.2) / period))], 0.0
-    for way in (1, -1):
+    for direction in (1, -1):
         cuts = np.sort(rng.dirichlet(np.full(len(speeds), 4.0)).cumsum()[:-1]) * travel
-        stops = [*cuts, travel] if way > 0 else [*cuts[::-1], 0.0]
+        stops = [*cuts, travel] if direction > 0 else [*cuts[::-1], 0.0]
         for stop, speed in zip(stops, rng.permutation(speeds), strict=True):
             pieces.append(stroke(here, float(stop), float(speed), acceleration, period))
             here = float(stop)

@@ -21,7 +21,7 @@ import numpy as np
 
 from tests.hidden.generate import SKIP
 
-MOST_EQUIVALENTS = 3  # more is no name
+MOST_EQUIVALENTS = 3  # a finding with more of them counts as unnamed
 TIMEOUT = 600.0  # s
 TITLES = {
     "quick": "a quick share",
@@ -36,7 +36,7 @@ TITLES = {
 
 @dataclass(frozen=True)
 class Score:
-    """One case: what was hidden, what was said, and how much of the gap is closed on the hold-out."""
+    """Result of one case: the hidden effects, those named, and the share of the gap closed on the hold-out."""
 
     case: str
     truth: tuple[str, ...]
@@ -46,24 +46,23 @@ class Score:
     exact: bool
     false: tuple[str, ...]
     closed: float
-    seconds: float  # of processor time: it depends little on what else the machine does
+    seconds: float  # processor time, which other load on the machine changes little
     note: str = ""
-    seen: tuple[str, ...] = ()  # of the hidden effects, those whose own share of the gap stands out of the noise
-    share: float = 1.0  # of the ordinary size at which the effect was hidden
-
-    claimed: tuple[str, ...] = ()  # of the hidden effects, those that a finding claims, by name or as an equivalent
+    seen: tuple[str, ...] = ()  # hidden effects whose share of the gap exceeds the noise
+    share: float = 1.0  # size of the hidden effect over its ordinary size
+    claimed: tuple[str, ...] = ()  # hidden effects that a finding claims, by name or as an equivalent
 
     @property
     def known(self) -> tuple[str, ...]:
-        """What was hidden and has a name."""
+        """The hidden effects that the library has."""
         return tuple(name for name in self.truth if name not in ("none", "unknown"))
 
 
 def judge(answer: dict, truth: dict) -> tuple[str, bool, tuple[str, ...]]:
-    """Result, exact, and the names that are false.
+    """Result, whether every first name is exact, and the false names.
 
-    Right: every hidden effect has a finding of its own that claims it, by name or among at most three equivalents,
-    and no finding claims none; nothing found on a healthy drive; ``unnamed`` and nothing found for unknown physics;
+    Right: a separate finding claims each hidden effect, by name or among at most three equivalents, and every finding
+    claims one; nothing is found on a healthy drive; ``unnamed`` and nothing found for unknown physics;
     ``partly-named`` where a known effect has unknown physics beside it, and only there.
 
     >>> found = [{"effect": "actuator_lag", "equivalents": ["actuator_delay"]}]
@@ -78,21 +77,21 @@ def judge(answer: dict, truth: dict) -> tuple[str, bool, tuple[str, ...]]:
     if not hidden:
         if claims:
             return "wrong", False, tuple(name for name, _ in claims)
-        silent = truth["effects"] == ["none"] or answer["verdict"] == "unnamed"
-        return ("right" if silent else "abstained"), silent, ()
-    left, false = list(hidden), []
+        right = truth["effects"] == ["none"] or answer["verdict"] == "unnamed"
+        return ("right" if right else "abstained"), right, ()
+    unclaimed, false = list(hidden), []
     for name, claim in sorted(claims, key=lambda pair: len(pair[1])):
-        mine = next((effect for effect in left if effect in claim), None)
-        if mine is not None:
-            left.remove(mine)
+        match = next((effect for effect in unclaimed if effect in claim), None)
+        if match is not None:
+            unclaimed.remove(match)
         elif not claim & set(hidden):
             false.append(name)
     if false:
         return "wrong", False, tuple(false)
-    if left:
+    if unclaimed:
         return ("abstained" if truth.get("detectable", True) else "too small"), False, ()
     if (answer["verdict"] == "partly-named") != ("unknown" in truth["effects"]):
-        return "abstained", False, ()  # what is left was not said, or was said where nothing is
+        return "abstained", False, ()  # the unknown part was not reported, or was reported where there is none
     return "right", sorted(name for name, _ in claims) == sorted(hidden), ()
 
 
@@ -109,7 +108,7 @@ def gap_closed(case: Path, out: Path, truth: dict) -> float:
 
 
 def score(case: Path, timeout: float = TIMEOUT) -> Score:
-    """Diagnose one case in a process of its own; a crash or a late answer is wrong."""
+    """Diagnose one case in a separate process; a crash or a timeout counts as wrong."""
     truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
     hidden, started = tuple(truth["effects"]), _processor_time()
     with tempfile.TemporaryDirectory() as folder:
@@ -130,35 +129,35 @@ def score(case: Path, timeout: float = TIMEOUT) -> Score:
             closed = gap_closed(case, Path(folder), truth)
         except (subprocess.SubprocessError, ValueError, OSError) as error:
             seconds = _processor_time() - started
-            said = Score(case.name, hidden, (), "", "wrong", False, (), math.nan, seconds, _why(error, timeout))
-            return _with_truth(said, truth)
+            failed = Score(case.name, hidden, (), "", "wrong", False, (), math.nan, seconds, _reason(error, timeout))
+            return _with_truth(failed, truth)
     named = tuple(f["effect"] for f in answer["findings"])
-    said = Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)
+    scored = Score(case.name, hidden, named, answer["verdict"], result, exact, false, closed, seconds)
     claims = {name for f in answer["findings"] for name in (f["effect"], *f["equivalents"][:MOST_EQUIVALENTS])}
-    return _with_truth(replace(said, claimed=tuple(name for name in said.known if name in claims)), truth)
+    return _with_truth(replace(scored, claimed=tuple(name for name in scored.known if name in claims)), truth)
 
 
-def _with_truth(said: Score, truth: dict[str, Any]) -> Score:
-    """``said`` with what of the case was to be seen, answered or not, and at which share of the ordinary size."""
-    return replace(said, seen=tuple(truth.get("seen", said.known)), share=truth.get("share", 1.0))
+def _with_truth(score: Score, truth: dict[str, Any]) -> Score:
+    """``score`` with the effects that can be seen in the case, and their share of the ordinary size."""
+    return replace(score, seen=tuple(truth.get("seen", score.known)), share=truth.get("share", 1.0))
 
 
-def _why(error: Exception, timeout: float) -> str:
-    """One line on why there was no answer, without the command, which has this machine's paths."""
+def _reason(error: Exception, timeout: float) -> str:
+    """One line: why there is no answer. The command is left out, as it holds local paths."""
     if isinstance(error, subprocess.TimeoutExpired):
         return f"no answer within {timeout:g} s"
-    told = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
-    return next(iter((told or f"ended with {getattr(error, 'returncode', error)}").strip().splitlines()[-1:]), "")
+    output = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
+    return next(iter((output or f"ended with {getattr(error, 'returncode', error)}").strip().splitlines()[-1:]), "")
 
 
 def _processor_time() -> float:
-    """Seconds that the processes which this one started, and which have ended, have had of a processor."""
+    """Processor time [s] of all child processes that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def score_all(folder: Path, only: str = "", jobs: int = 1, timeout: float = TIMEOUT) -> Iterator[Score]:
-    """Scores of the cases below ``folder``, as they are done, in order; ``jobs`` processes each score one at a time."""
+    """Yield the scores of the cases below ``folder`` in order, from ``jobs`` processes."""
     chosen = sorted(path.parent for path in folder.glob("*/truth.json") if only in path.parent.name)
     with ProcessPoolExecutor(jobs) as pool:
         yield from pool.map(partial(score, timeout=timeout), chosen)
@@ -167,14 +166,14 @@ def score_all(folder: Path, only: str = "", jobs: int = 1, timeout: float = TIME
 def summary(scores: list[Score]) -> dict[str, Any]:
     """Counts over cases with effects, healthy drives and unknown physics, over effects, and the median gap closed.
 
-    Effects are asked for where they are ``seen``; those named although they are not count as named, not as asked for.
+    ``asked_for`` counts the effects that are ``seen``. A correct name of an effect that is not seen is only a name.
     """
     healthy = [s for s in scores if s.truth == ("none",)]
     unknown = [s for s in scores if s.truth == ("unknown",)]
     real = [s for s in scores if s.known]
     closed = [s.closed for s in real if math.isfinite(s.closed)]
     named, false = sum(len(s.named) for s in scores), sum(len(s.false) for s in scores)
-    asked = [(name in s.claimed) for s in real for name in s.seen]
+    found = [(name in s.claimed) for s in real for name in s.seen]
     return {
         "effects": len(real),
         "right": sum(s.result == "right" for s in real),
@@ -186,7 +185,7 @@ def summary(scores: list[Score]) -> dict[str, Any]:
         "false_alarms": sum(s.result == "wrong" for s in healthy),
         "unknown": len(unknown),
         "unknown_right": sum(s.result == "right" for s in unknown),
-        "asked_for": {"count": sum(asked), "of": len(asked), "interval": wilson(sum(asked), len(asked))},
+        "asked_for": {"count": sum(found), "of": len(found), "interval": wilson(sum(found), len(found))},
         "false_names": {"count": false, "of": named, "interval": wilson(false, named)},
         "median_gap_closed": float(np.median(closed)) if closed else math.nan,
         "median_processor_seconds": float(np.median([s.seconds for s in scores])) if scores else math.nan,
@@ -194,7 +193,7 @@ def summary(scores: list[Score]) -> dict[str, Any]:
 
 
 def wilson(count: int, of: int) -> list[float]:
-    """The interval that holds a share with 95 %, seen ``count`` times ``of`` (Wilson, 1927).
+    """95 % interval of a share of which ``count`` in ``of`` were observed (Wilson, 1927).
 
     >>> [round(end, 3) for end in wilson(9, 10)]
     [0.596, 0.982]
@@ -209,20 +208,20 @@ def wilson(count: int, of: int) -> list[float]:
 
 
 def share_found(scores: list[Score]) -> list[tuple[float, int, int]]:
-    """Over the size at which effects were hidden: the share of the ordinary size, how many were named, of how many."""
+    """For each share of the ordinary size: the share, how many hidden effects were named, and of how many."""
     sizes = sorted({s.share for s in scores if s.known})
-    asked = [(size, [name in s.claimed for s in scores if s.share == size for name in s.known]) for size in sizes]
-    return [(size, sum(found), len(found)) for size, found in asked]
+    claims = [(size, [name in s.claimed for s in scores if s.share == size for name in s.known]) for size in sizes]
+    return [(size, sum(found), len(found)) for size, found in claims]
 
 
 def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = True, steered: bool = False) -> str:
-    """The page of a set ``which`` of cases, in Markdown; ``repeats``: the training records have laps.
+    """Markdown page of the set ``which``; ``repeats``: the training records have laps.
 
-    ``steered``: rules were chosen with these cases in sight, and nothing here proves them.
+    ``steered``: rules were chosen on these cases, so that the page is no evidence for them.
     """
     count = summary(scores)
     laps = "Each training record repeats its laps." if repeats else "No training record repeats anything."
-    asked, false = count["asked_for"], count["false_names"]
+    seen, false = count["asked_for"], count["false_names"]
     lines = [
         *("---", "orphan: true", "---", ""),
         f"# Hidden effects: {TITLES[which]}{'' if repeats else ', where nothing repeats'}",
@@ -235,8 +234,8 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
         *_in_words(count),
         "",
     ]
-    if asked["of"] or false["of"]:
-        named = f"Effects that stand out of the noise: {_counted(asked)} named. Names: {_counted(false)} false"
+    if seen["of"] or false["of"]:
+        named = f"Effects that stand out of the noise: {_count_of(seen)} named. Names: {_count_of(false)} false"
         lines += [f"{named} (in brackets 95 %, Wilson).", ""]
     sizes = share_found(scores)
     if len(sizes) > 1:
@@ -250,38 +249,40 @@ def table(scores: list[Score], seed: int, which: str = "all", repeats: bool = Tr
         "|---|---|---|---|---|---|",
     ]
     for truth in sorted({s.truth for s in scores}):
-        own = [s for s in scores if s.truth == truth]
-        words = Counter(" + ".join(s.named) or s.verdict or s.note for s in own)
-        said = "; ".join(f"{word} ({times} times)" if times > 1 else word for word, times in words.items())
-        results = [sum(s.result in kind for s in own) for kind in (("right",), ("abstained", "too small"), ("wrong",))]
-        lines.append(f"| {' + '.join(truth)} | {len(own)} | {results[0]} | {results[1]} | {results[2]} | {said} |")
+        alike = [s for s in scores if s.truth == truth]
+        words = Counter(" + ".join(s.named) or s.verdict or s.note for s in alike)
+        answers = "; ".join(f"{word} ({times} times)" if times > 1 else word for word, times in words.items())
+        results = [
+            sum(s.result in kind for s in alike) for kind in (("right",), ("abstained", "too small"), ("wrong",))
+        ]
+        lines.append(f"| {' + '.join(truth)} | {len(alike)} | {results[0]} | {results[1]} | {results[2]} | {answers} |")
     return "\n".join(lines) + "\n"
 
 
 def _in_words(count: dict[str, Any]) -> list[str]:
-    """The counts of the kinds of cases that there are, and the time."""
-    said = []
+    """Sentences with the counts of each kind of case, and the median time."""
+    sentences = []
     if count["effects"]:
-        said = [
+        sentences = [
             f"Cases: {count['right']} right ({count['exact']} by the first name), {count['wrong']} wrong, "
             f"{count['abstained']} abstained, {count['too_small']} too small, of {count['effects']}; "
             f"{count['median_gap_closed']:.2f} of the gap closed in the median."
         ]
     if count["healthy"]:
-        said.append(f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}.")
+        sentences.append(f"Healthy: {count['false_alarms']} false alarms of {count['healthy']}.")
     if count["unknown"]:
-        said.append(f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed.")
-    return [*said, f"{count['median_processor_seconds']:.0f} s of processor time in the median."]
+        sentences.append(f"Unknown physics alone: {count['unknown_right']} of {count['unknown']} called unnamed.")
+    return [*sentences, f"{count['median_processor_seconds']:.0f} s of processor time in the median."]
 
 
-def _counted(part: dict[str, Any]) -> str:
+def _count_of(part: dict[str, Any]) -> str:
     """``9 of 10 (60 to 98 %)``."""
     low, high = part["interval"]
     return f"{part['count']} of {part['of']} ({100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def rows(scores: list[Score]) -> list[dict[str, object]]:
-    """One row a case, as the measured tables of the documentation read them."""
+    """One row per case, for the measured tables of the documentation."""
     return [
         {
             "case": s.case,

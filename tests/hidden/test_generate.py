@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.hidden.drives import EFFECTS, FURTHER, TURNING, UNKNOWN, draw_drive
-from tests.hidden.generate import SKIP, SMALL, Case, biting_limit, cases, main, make, refit, run
+from tests.hidden.generate import SKIP, SMALL, Case, cases, limit_at_share, main, make, refit, run
 from tests.hidden.plant import NAMES, numbers
 from tests.hidden.programs import laps
 
@@ -40,10 +40,10 @@ def test_in_a_crowded_case_a_motor_is_at_its_limit_or_there_is_play():
     assert not any({"backlash", "flexible_coupling"} <= set(case.effects) for case in drawn)
 
 
-def test_a_limit_bites_in_the_share_that_is_asked_for():
+def test_limit_is_reached_for_the_given_share():
     drive = draw_drive(np.random.default_rng(4))
     q_ref = laps(np.random.default_rng(4), drive.travel, list(drive.speeds), drive.acceleration, 1, drive.period)
-    limit = biting_limit(drive, q_ref, {}, 0.1)
+    limit = limit_at_share(drive, q_ref, {}, 0.1)
     u = run(drive, q_ref, numbers(clip=limit))[1]
     assert np.mean(np.abs(u[SKIP:]) >= limit) == pytest.approx(0.1, abs=0.01)
 
@@ -52,7 +52,7 @@ def test_a_limit_bites_in_the_share_that_is_asked_for():
 def test_a_small_effect_is_a_share_of_an_ordinary_one():
     assert {case.share for case in cases("small", 6)} == set(SMALL)
     case = Case(("elastic_force",), 1, 0)
-    whole, tenth = (make(one, seed=2)["truth.json"] for one in (case, replace(case, share=0.1)))
+    whole, tenth = (make(each, seed=2)["truth.json"] for each in (case, replace(case, share=0.1)))
     stiffness = [truth["parameters"]["elastic_force"]["stiffness"] for truth in (whole, tenth)]
     assert stiffness[1] == pytest.approx(0.1 * stiffness[0])
     assert tenth["own_gap"]["elastic_force"] == pytest.approx(0.1 * whole["own_gap"]["elastic_force"], rel=0.25)

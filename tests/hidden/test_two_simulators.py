@@ -9,7 +9,7 @@ from tests.hidden.generate import SKIP, axis_file, misfit, run
 from tests.hidden.plant import numbers
 from tests.hidden.programs import laps
 
-LEFT = 0.015  # of the Coulomb friction [N rms of G_tau u]: what 20 us steps leave through the encoder's quantisation
+TOLERANCE = 0.015  # of the Coulomb friction: rms of G_tau u that 20 us steps and the quantised encoder cause
 
 
 @pytest.mark.parametrize("name", ["none", *EFFECTS, *FURTHER, *FORMS, *TURNING])
@@ -32,9 +32,9 @@ def test_same_force_along_a_lap(name):
     t = np.arange(q_ref.size) * drive.period
     off = (t >= values.get("off_from", 0.0)) & (t < values.get("off_to", 0.0))
     other = Plant.of(axis).closed_loop(q_ref, enable=np.where(off, 0.0, 1.0) if off.any() else None).u
-    left, size = misfit(drive, u, other), misfit(drive, u, healthy)
-    assert left < LEFT * drive.coulomb
-    assert name == "none" or left < 0.1 * size
+    error, size = misfit(drive, u, other), misfit(drive, u, healthy)
+    assert error < TOLERANCE * drive.coulomb
+    assert name == "none" or error < 0.1 * size
     assert u[SKIP:].std() > 0
 
 
@@ -52,7 +52,7 @@ def test_a_transmission_is_loaded_by_the_force_behind_the_lag():
     _, u = run(drive, q_ref, numbers(**values, **loaded))
     mechanics = {key: getattr(drive, key) for key in ("mass", "viscous", "coulomb", "offset")}
     axis = Axis.from_toml(axis_file(rng, drive)).replace(mechanics=mechanics, effects=kinds)
-    left, size = misfit(drive, u, Plant.of(axis).closed_loop(q_ref).u), misfit(drive, u, lagging)
-    assert left < LEFT * drive.coulomb < 0.1 * size
+    error, size = misfit(drive, u, Plant.of(axis).closed_loop(q_ref).u), misfit(drive, u, lagging)
+    assert error < TOLERANCE * drive.coulomb < 0.1 * size
     in_the_loop = axis.replace(drive={"current_time_constant": 2.5e-3}, effects=kinds[1:])
-    assert misfit(drive, u, Plant.of(in_the_loop).closed_loop(q_ref).u) < LEFT * drive.coulomb
+    assert misfit(drive, u, Plant.of(in_the_loop).closed_loop(q_ref).u) < TOLERANCE * drive.coulomb
