@@ -212,10 +212,10 @@ def test_what_an_unknown_force_of_one_kind_would_leave_stands_beside_what_the_ef
     map_ = {"velocity": [-0.1, 0.1], "position": [0.0, 0.1], "force": [[1.0, -1.0], [2.0, -2.0]], "units": units}
     left = {"rms": 2.3, "share": 0.18, "over": [], "text": "2.3 N", "kind": "", "map": map_}
     diagnosis.document["unexplained"] = left
-    assert "with the unknown force too" not in diagnosis_page(diagnosis).html()
+    assert "with the unknown force" not in diagnosis_page(diagnosis).html()
     left |= {"kind": "an inertia that varies", "kind_leaves": 0.4567}
     html = diagnosis_page(diagnosis).html()
-    assert html.index("force error after") < html.index("with the unknown force too") < html.index("noise floor")
+    assert html.index("force error after") < html.index("with the unknown force") < html.index("noise floor")
     assert "0.457 N" in html
     assert "like an inertia that varies" in html
 

@@ -40,9 +40,9 @@ def page_of(velocity) -> str:
     return design_page(design_results(velocity)).html()
 
 
-def takers(page: str) -> str:
-    """What the page says takes phase at the plant input."""
-    return re.search(r"At the plant input, ([^.]*?) take [\d.]+°", page)[1]
+def phase_costs(page: str) -> str:
+    """The parts that cost phase at the plant input, as the page lists them."""
+    return re.search(r"At the plant input, ([^.]*?) cost [\d.]+°", page)[1]
 
 
 def with_filters(axis: Axis) -> Axis:
@@ -58,11 +58,11 @@ def test_what_no_random_plant_has_is_not_shown_as_a_number():
     assert [_of_plants(value) for value in (np.nan, None, 2.53812)] == ["-", "-", "2.538"]
 
 
-def test_what_takes_phase_is_named_with_the_filters_and_the_effects_of_the_axis(sketched):
+def test_what_costs_phase_is_named_with_the_filters_and_the_effects_of_the_axis(sketched):
     plain = machine("emps2018")
     flexible = plain.replace(effects=[COUPLING])
     said = [
-        takers(page_of(design_velocity_loop(axis, crossover=50.0)))
+        phase_costs(page_of(design_velocity_loop(axis, crossover=50.0)))
         for axis in (plain, with_filters(plain), flexible, with_filters(flexible))
     ]
     always = "sampling, hold, current loop, delay"

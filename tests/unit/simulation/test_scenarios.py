@@ -45,7 +45,7 @@ def test_a_record_holds_the_voltage_before_the_computation_delay(delay):
     for kind in (axis, axis.replace(controller={"kind": "none"})):
         assert max(replay(kind, record).relative_error_percent.values()) < 1e-6
     np.testing.assert_allclose(law_voltage(record, axis), record.u, atol=1e-9)
-    with pytest.raises(InputError, match=r"kp = 160\.18 1/s and kv = 243\.45 V/\(m/s\) fit it"):
+    with pytest.raises(InputError, match=r"it fits kp = 160\.18 1/s and kv = 243\.45 V/\(m/s\)"):
         check_law(record, axis.replace(controller={"kp": 300.0}), ())
 
 
