@@ -136,7 +136,7 @@ class Units:
 
     @property
     def farthest(self) -> float:
-        """Largest position [m] and speed [m/s] of a bounded motion; rad and rad/s of a rotary axis, which may turn on.
+        """Largest position [m or rad] and speed [m/s or rad/s] of a bounded motion; a rotary axis may turn far.
 
         >>> Units().farthest, Units("rotary").farthest
         (1000.0, 1000000.0)

@@ -116,9 +116,9 @@ def record_of_largest_residual(hypothesis: Hypothesis) -> int:
 
 
 def _predict(baseline: Hypothesis, extended: Hypothesis) -> Prediction:
-    """Simulate the first record with both models, from its reference with the quantised encoder.
+    """Simulate the first record with both models, from its reference.
 
-    A law that follows the recorded motion has no encoder of its own.
+    The encoder is quantised unless the law follows the recorded motion.
     """
     problem = baseline.problem
     axis, record = problem.record_set.simulated, problem.records[0]

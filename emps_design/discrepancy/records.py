@@ -46,11 +46,11 @@ def band(record: Record) -> float:
     n, period = len(record), record.period
     power = np.cumsum(np.abs(np.fft.rfft(record.u - record.u.mean())) ** 2)
     acceleration = np.gradient(np.gradient(record.q, period), period)
-    moved = np.cumsum(np.abs(np.fft.rfft(acceleration)) ** 2) * 2.0 / n**2  # (m/s^2)^2 below each frequency
+    motion = np.cumsum(np.abs(np.fft.rfft(acceleration)) ** 2) * 2.0 / n**2  # (m/s^2)^2 below each frequency
     frequencies = np.fft.rfftfreq(n, period)
     noise = encoder_variance(record) * 2.0 * period * (2.0 * np.pi) ** 4 * frequencies**5 / 5.0
-    quiet = frequencies[np.flatnonzero(noise <= rules.MINOR**2 * moved)[-1]]
-    return float(min(frequencies[np.searchsorted(power, rules.NEARLY_ALL * power[-1])], quiet))
+    above_noise = frequencies[np.flatnonzero(noise <= rules.MINOR**2 * motion)[-1]]
+    return float(min(frequencies[np.searchsorted(power, rules.NEARLY_ALL * power[-1])], above_noise))
 
 
 def bandwidth(record: Record, band_hz: float) -> float:
@@ -104,16 +104,15 @@ class RecordSet:
 
     @cached_property
     def simulated(self) -> Axis:
-        """The axis of the simulations.
+        """The axis of the simulations, without a command limit if the law follows the recorded motion.
 
-        A law that follows the recorded motion has no limit: it could correct a model one way only while the recorded
-        command is at the limit.
+        Otherwise the law could correct a model in one direction only while the recorded command is at the limit.
         """
         return self.axis.replace(drive={"command_limit": NO_LIMIT}) if self.follows else self.axis
 
     @cached_property
     def tolerance(self) -> float:
-        """Factor on the integrator's error tolerance, which fits an axis of ordinary stroke and speed."""
+        """Factor on the integrator's error tolerance, smaller for an axis of small stroke or speed."""
         gain = self.axis.drive.gain
         scales = [sizes(record.q, record.u, record.period, gain) for record in self.records]
         return rules.LOOSE * min(1.0, *(scale[unit] for scale in scales for unit in ("m", "m/s")))

@@ -49,14 +49,14 @@ def stroke_size(q: np.ndarray) -> float:
 
 
 def speed_size(v: np.ndarray) -> float:
-    """How much faster than the ordinary axis that of ``v`` (n,) [m/s or rad/s] is, 1 where it is alike.
+    """Speed of the axis with velocities ``v`` (n,) [m/s or rad/s] over that of an ordinary axis; 1 where similar.
 
     >>> t = np.arange(0.0, 10.0, 1e-3)
     >>> speed_size(0.1 * np.sin(t)), round(speed_size(75.0 * np.sin(t)))
     (1.0, 500)
     """
-    span, way = max(1, v.size // 100), np.cumsum(v)
-    return _relative_size(float(np.abs(way[span:] - way[:-span]).max(initial=0.0)) / span, "m/s")
+    span, path = max(1, v.size // 100), np.cumsum(v)
+    return _relative_size(float(np.abs(path[span:] - path[:-span]).max(initial=0.0)) / span, "m/s")
 
 
 def _relative_size(size: float, unit: str) -> float:

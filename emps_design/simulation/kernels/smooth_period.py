@@ -114,10 +114,10 @@ def tends(i, y, t, acting, level, s, plant, rate):
 
 @fused
 def settle(y, t, tau, plant, work):
-    """Put every memory on its end value where that is within a tenth of the tolerance of a step.
+    """Set every memory to its end value if it is within a tenth of the tolerance of a step of it.
 
-    From there on it does not change under a constant level. Beside it an explicit step would be limited by stability to
-    a few travel constants for ever, which at speed is a thousandth of a period.
+    It then stays there under a constant level. Close to it, stability would limit an explicit step to a few travel
+    constants, which at high speed is a thousandth of a period.
     """
     hooks, starts, settings, rate, s = plant[1], plant[2], plant[4], work[3], math.copysign(1.0, y[1])
     acting = motor(t, tau, plant) - settings[BRAKING] * y[1]
