@@ -1,8 +1,8 @@
 """Errata of the paper: every step of the derivations that is not as printed, and the errors outside equations.
 
-:func:`derivation` derives the paper's equations from its premises, and compares them with what it prints.
-``PLACES`` gives for each numbered equation where the package has it; :func:`document` writes the derivations as a LaTeX
-document that compiles by itself: article, amsmath, nothing else.
+:func:`derivation` derives the paper's equations from its premises and compares them with the printed ones.
+``PLACES`` gives the place of each numbered equation in the package; :func:`document` writes the derivations as a
+complete LaTeX document, which needs only article and amsmath.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def derivation() -> dict[str, tuple[str, tuple[DerivationStep, ...]]]:
 
 @dataclass(frozen=True)
 class Erratum:
-    """One place of the paper: what is ``printed`` and what is ``derived`` (LaTeX, or words), and why in ``text``."""
+    """One error of the paper: the ``printed`` and the ``derived`` form (LaTeX, or words), and the reason, ``text``."""
 
     place: str
     title: str
@@ -53,7 +53,7 @@ class Erratum:
     step: DerivationStep | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """The step as plain data with the place and the words; without its equations where there is no step."""
+        """The derivation step, if any, as plain data, with place, title and text."""
         words = {"place": self.place, "title": self.title, "text": self.text}
         if self.step is not None:
             return {**self.step.to_dict(), **words}
@@ -125,7 +125,7 @@ PLACES: dict[str, tuple[str, ...]] = {
 
 
 def view() -> View:
-    """What a reader sees of every part of the derivation, and of the errata."""
+    """Lines with every part of the derivation, then the errata."""
     parts = derivation().values()
     steps = [line for title, steps in parts for line in (_heading(title), *(line for s in steps for line in s.view()))]
     errata = [Line(f"{erratum.place} {erratum.title}: {erratum.text}", "prose") for erratum in find_errata()]
@@ -171,7 +171,7 @@ def _display(equation: str, number: str) -> list[str]:
 
 
 def escaped(words: str) -> str:
-    r"""Words with LaTeX's own characters made harmless, in one pass.
+    r"""Text with the special characters of LaTeX escaped, in one pass.
 
     >>> print(escaped("k_v1 > 0, 2 %, W^T"))
     k\_v1 $>$ 0, 2 \%, W\textasciicircum{}T

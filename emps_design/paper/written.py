@@ -1,11 +1,11 @@
 """Equations in the order and with the signs in which the paper writes them, as LaTeX and as plain text.
 
-SymPy orders the terms of a sum its own way. A :class:`Sum` keeps the order that it was given; everything else is
-printed by SymPy. The paper's symbols have the names of the code here, and LaTeX as the paper writes it as SymPy name.
+SymPy reorders the terms of a sum. A :class:`Sum` preserves the given order; everything else is printed by SymPy. The
+Python names of the paper's symbols are those of the code; their SymPy names are the paper's LaTeX.
 
-Typed in from the paper: every numbered equation, Tables I and II, the ranges of the errors; in its order and signs,
-misprints included. The derivations compare with this and nothing computes with it.
-The text at hand was read from a scan, so a symbol may be the reader's mistake rather than the paper's.
+This file contains every numbered equation, Tables I and II and the error ranges as printed, with misprints. The
+derivations are compared with them; no computation uses them. The text was read from a scan, so a single symbol may be
+a reading error and not one of the paper.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def _positive(text: str) -> list[sp.Symbol]:
 
 
 def _words(text: str) -> list[sp.Symbol]:
-    """Matrices of which only the order of a product counts."""
+    """Non-commutative symbols for matrices."""
     return [sp.Symbol(name, commutative=False) for name in text.split(" ; ")]
 
 
@@ -87,11 +87,11 @@ class Sum:
 
     @property
     def expression(self) -> sp.Expr:
-        """The same for SymPy."""
+        """The sum as a SymPy expression."""
         return sp.Add(*(sp.Mul(*(_expression(factor) for factor in term)) for term in self.terms))
 
     def subs(self, changes: dict[Any, Any]) -> Sum:
-        """Put other symbols into every factor; the order stays."""
+        """Substitute symbols in every factor; the order does not change."""
         return Sum(
             tuple(
                 tuple(f.subs(changes) if isinstance(f, Sum) else sp.sympify(f).subs(changes) for f in term)
@@ -107,8 +107,8 @@ def _expression(factor: Any) -> sp.Expr:
 def in_order(expression: sp.Expr, signals: tuple[sp.Expr, ...], ratio: tuple[sp.Symbol, sp.Symbol]) -> Sum:
     """Write ``expression``, linear in ``signals``, as their sum in that order, with coefficients in ``ratio``.
 
-    ``ratio`` is numerator and denominator of what the coefficients are polynomials in, here M-hat over M_a. A signal
-    that is a difference of symbols stands for itself: the first of them is counted from the second.
+    The coefficients are polynomials in the quotient of the two symbols of ``ratio``, here M-hat over M_a. A signal may
+    be a difference of two symbols; the first symbol is then replaced by the second plus that signal.
 
     >>> a, b, x, y = sp.symbols("a b x y")
     >>> text(in_order(a / b * x - y - x, (x, y), (a, b)))
@@ -156,10 +156,10 @@ def _factors(coefficient: sp.Expr, ratio: tuple[sp.Symbol, sp.Symbol]) -> tuple[
             brackets.append(factor)
         else:
             (ratios if factor.has(R) else plain).append(over / under if factor.has(R) else factor)
-    # A bracket with a number in it has the ratio positive; another one takes a minus sign in.
+    # In a bracket that contains a number the ratio is positive; any other bracket absorbs a minus sign.
     for i, bracket in enumerate(brackets):
-        counted = any(term.is_number for term in bracket.args)
-        if (counted and bracket.coeff(R).could_extract_minus_sign()) or (not counted and number < 0):
+        has_number = any(term.is_number for term in bracket.args)
+        if (has_number and bracket.coeff(R).could_extract_minus_sign()) or (not has_number and number < 0):
             number, brackets[i] = -number, sp.expand(-bracket)
     sums = [
         Sum(
@@ -174,14 +174,14 @@ def _factors(coefficient: sp.Expr, ratio: tuple[sp.Symbol, sp.Symbol]) -> tuple[
 
 
 def _term(term: sp.Expr, R: sp.Symbol, ratio: sp.Expr) -> tuple[Any, ...]:
-    """Factors of one term: its sign, the ratio, the rest."""
+    """Factors of one term: its sign, the ratio, the others."""
     sign = -1 if term.could_extract_minus_sign() else 1
     factors = sp.Mul.make_args(sign * term)
     return (sign, *(ratio for f in factors if f.has(R)), *(f for f in factors if not f.has(R)))
 
 
 def latex(written: Any) -> str:
-    """LaTeX of a :class:`Sum`, of SymPy, or of an equation of two of them."""
+    """LaTeX of a :class:`Sum`, a SymPy expression, or an equation of them."""
     if isinstance(written, Equation):
         return f"{latex(written.left)} = {latex(written.right)}"
     if not isinstance(written, Sum):
@@ -190,7 +190,7 @@ def latex(written: Any) -> str:
 
 
 def text(written: Any) -> str:
-    """One line of plain text: qd, qdd, Mhat, sign(qd)."""
+    """The same as one line of plain text with the names qd, qdd, Mhat, sign(qd)."""
     if isinstance(written, Equation):
         return f"{text(written.left)} = {text(written.right)}"
     if not isinstance(written, Sum):
@@ -201,7 +201,7 @@ def text(written: Any) -> str:
 
 
 def _joined(written: Sum, show: Any, bracket: str, between: str) -> str:
-    out = ""
+    result = ""
     for term in written.terms:
         number = sp.Mul(*(f for f in term if not isinstance(f, Sum) and sp.sympify(f).is_number))
         factors = [f for f in term if isinstance(f, Sum) or not sp.sympify(f).is_number]
@@ -211,25 +211,25 @@ def _joined(written: Sum, show: Any, bracket: str, between: str) -> str:
         if abs(number) != 1 or not factors:
             shown.insert(0, show(abs(number)))
         sign = "-" if number < 0 else "+"
-        out += (f" {sign} " if out else "-" if sign == "-" else "") + between.join(shown)
-    return out
+        result += (f" {sign} " if result else "-" if sign == "-" else "") + between.join(shown)
+    return result
 
 
 @dataclass(frozen=True)
 class Equation:
-    """``left = right``, each SymPy or a :class:`Sum`."""
+    """The equation ``left = right``; each side is a SymPy expression or a :class:`Sum`."""
 
     left: Any
     right: Any
 
     @property
     def lhs(self) -> sp.Expr:
-        """Left-hand side for SymPy."""
+        """Left-hand side as a SymPy expression."""
         return _expression(self.left)
 
     @property
     def rhs(self) -> sp.Expr:
-        """Right-hand side for SymPy."""
+        """Right-hand side as a SymPy expression."""
         return _expression(self.right)
 
 

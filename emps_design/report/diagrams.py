@@ -1,4 +1,4 @@
-"""Block diagrams: the cascaded loop of Fig. 4, and the impedance law of Fig. 11 with the impedance it aims at."""
+"""Block diagrams: the cascaded loop of Fig. 4, and the impedance law of Fig. 11 with its target impedance."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def velocity_and_force_loop_diagram(structure: Structure, filtered: bool = False
 
 
 def impedance_law_diagram() -> Figure:
-    """Draw Fig. 11: (a) the law around the drive, (b) the impedance that the operator shall feel."""
+    """Draw Fig. 11: (a) the law around the drive, (b) the target impedance."""
     with look():
         figure, axes = _canvas(15.4, 5.0)
         y = 3.2

@@ -209,7 +209,7 @@ def nyquist_axes(loop: BrokenLoop) -> Axes:
 
 
 def open_loop_plane(parts: tuple[Curve, ...], real: Range, imaginary: Range, title: str, legend: str = "") -> Axes:
-    """``parts`` in the plane of an open loop, with the unit circle and the point -1."""
+    """``parts`` in the Nyquist plane, with the unit circle and the point -1."""
     around = (
         Curve(np.cos(TURN), np.sin(TURN), color=GREY, line="--", width=0.9),
         Curve([-1.0], [0.0], color=BLACK, line="", mark="P", size=9.0),

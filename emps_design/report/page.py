@@ -1,9 +1,9 @@
-"""A page: a title, a summary, and sections of views and pictures; one HTML file that needs nothing else.
+"""A page: a title, a summary, and sections of views and pictures, as one self-contained HTML file.
 
-A page is reproducible: it names the versions that made it and the SHA-256 of every input, and no time. The advice on
-the result is its first box.
+A page is reproducible: it states the versions of the software and the SHA-256 of every input, but no time. The advice
+on the result comes first.
 
-Numbers as a reader sees them: SI inside, display units at the border.
+Numbers are stored in SI units and converted to display units on output.
 """
 
 from __future__ import annotations

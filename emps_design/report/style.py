@@ -79,7 +79,7 @@ _SETTINGS = threading.RLock()  # matplotlib's settings belong to the process; th
 
 
 class FigureMargins(LayoutEngine):
-    """Layout engine for one grid of axes with labels and titles, and nothing else outside of them.
+    """Layout engine for one grid of axes whose only surroundings are labels and titles.
 
     ``above`` [points] is kept free over the first row.
     """
@@ -178,7 +178,7 @@ def _width(axis: Axis) -> float:
 
 @contextmanager
 def look() -> Iterator[None]:
-    """Draw with the package's settings, whatever the user's own matplotlib settings are."""
+    """Draw with the package's settings, independent of the user's matplotlib settings."""
     import matplotlib as mpl
 
     with _SETTINGS, mpl.rc_context():
