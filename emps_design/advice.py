@@ -213,20 +213,20 @@ def _diagnose(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
     next_step = command_line.again(out=FOLDER)
     if folder:
         next_step = command("report", f"{folder}/model.toml", out=PAGE)
-    tried = next_step
+    trial = next_step
     if folder and experiment.get("file"):
-        tried = command("simulate", f"{folder}/model.toml", reference=f"{folder}/{experiment['file']}")
+        trial = command("simulate", f"{folder}/model.toml", reference=f"{folder}/{experiment['file']}")
     sentences = {
         "unnamed": "the model lacks something that no effect of the library explains",
         "partly-named": "the named effects do not explain everything that the model lacks",
         "ambiguous": "the record cannot tell which of several effects is missing",
     }
     if verdict in sentences or document.get("unexplained") or document.get("interrupted"):
-        return Advice(CAUTION, sentences.get(verdict, "no effect explains the rest of the gap"), tried)
+        return Advice(CAUTION, sentences.get(verdict, "no effect explains the rest of the gap"), trial)
     if objection(document):
-        return Advice(CAUTION, objection(document), tried)
+        return Advice(CAUTION, objection(document), trial)
     if findings and not all(finding.get("confirmed") for finding in findings):
-        return Advice(CAUTION, "not every effect was confirmed on held-out data; hold out a record", tried)
+        return Advice(CAUTION, "not every effect was confirmed on held-out data; hold out a record", trial)
     names = ", ".join(finding["label"] for finding in findings)
     text = f"the missing effects were found and confirmed: {names}" if findings else "nothing is missing from the model"
     return Advice(SAFE, text, next_step)
@@ -360,8 +360,8 @@ def force(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
         out = document.get("out")
         if out:
             return command("export", str(out), to="c", out=CODE)
-        plain = document["structure"] == "ip" and not document["filters"]
-        return command_line.again(out=DESIGN) if plain else None
+        ideal = document["structure"] == "ip" and not document["filters"]
+        return command_line.again(out=DESIGN) if ideal else None
 
     return _design(document, command_line, better, next_step)
 
@@ -413,16 +413,16 @@ def _comanipulation(document: Mapping[str, Any], command_line: CommandLine) -> A
 
 
 def _replay(document: Mapping[str, Any], command_line: CommandLine) -> Advice:
-    missed, force = document["relative_error_percent"]["force"], command_line.units.word("force")
+    errors, force = document["relative_error_percent"]["force"], command_line.units.word("force")
     next_one = command("diagnose", command_line.records[0], axis=command_line.axis)
-    if missed is None or math.isnan(missed):
+    if errors is None or math.isnan(errors):
         return Advice(CAUTION, f"the record has no {force} to compare with", next_one)
-    if missed > FOLLOWED or objection(document):
+    if errors > FOLLOWED or objection(document):
         text = (
-            objection(document) or f"simulation and record differ by {missed:.3g} % of the {force}: noise, or physics"
+            objection(document) or f"simulation and record differ by {errors:.3g} % of the {force}: noise, or physics"
         )
         return Advice(CAUTION, text if objection(document) else f"{text} that the model lacks", next_one)
-    return Advice(SAFE, f"the simulation follows the record to {missed:.2g} % of the {force}", None)
+    return Advice(SAFE, f"the simulation follows the record to {errors:.2g} % of the {force}", None)
 
 
 def _reference(document: Mapping[str, Any], command_line: CommandLine) -> Advice:

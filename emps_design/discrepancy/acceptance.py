@@ -90,11 +90,11 @@ class Judge:
 
     def accepts(self, better: Fit, worse: Fit) -> bool:
         """Whether ``better``, with one effect more, is a finding over ``worse``."""
-        burst, worth = self._requirements(worse)
-        gained = float(worse.problem.gather(_changes(better, worse, burst), "used").sum())
+        burst, least_gain = self._requirements(worse)
+        gain = float(worse.problem.gather(_changes(better, worse, burst), "used").sum())
         return (
             worse.cost_fit - better.cost_fit > self.healthy.threshold
-            and gained > worth * _cost(worse, "used", burst)
+            and gain > least_gain * _cost(worse, "used", burst)
             and _gain_repeats(better, worse, burst)
             and share_of_strokes(better, worse, burst) >= rules.MOST
             and self._negligible(better.model) is None
@@ -102,8 +102,8 @@ class Judge:
 
     def to_beat(self, worse: Fit) -> float:
         """Gain on the fitting part [whitened cost] that an effect added to ``worse`` must exceed."""
-        burst, worth = self._requirements(worse)
-        return max(self.healthy.threshold, worth * _cost(worse, "fit", burst))
+        burst, least_gain = self._requirements(worse)
+        return max(self.healthy.threshold, least_gain * _cost(worse, "fit", burst))
 
     def refit(self, hypothesis: Hypothesis) -> Fit:
         """``hypothesis`` fitted to all used samples, without effects whose force is then below the noise."""
@@ -115,8 +115,8 @@ class Judge:
     def at_floor(self, fitted: Fit) -> bool:
         """Whether the residual of ``fitted`` is only noise on both parts."""
         parts = ("fit", "select")
-        quiet = (_cost(fitted, part) <= rules.AT_FLOOR * fitted.problem.samples(part) for part in parts)
-        return all(quiet) and not self.leaves_force(fitted)
+        at_floor = (_cost(fitted, part) <= rules.AT_FLOOR * fitted.problem.samples(part) for part in parts)
+        return all(at_floor) and not self.leaves_force(fitted)
 
     def leaves_structure(self, fitted: Fit) -> bool:
         """Whether the residual of ``fitted`` is more than noise."""
@@ -220,19 +220,19 @@ def _gain_repeats(better: Fit, worse: Fit, burst: float) -> bool:
     Or as large as the change by ``better`` on the selecting part, which is the gain of a true effect: an effect that
     fades acts less on later strokes.
     """
-    gained = expected = moved = 0.0
+    gain = expected = change_size = 0.0
     n = better.problem.samples("select")
     changes = _changes(better, worse, burst)
     overall = better.problem.gather(changes, "fit")
     for split, change, after, before, noise_gain in zip(
         better.problem.splits, changes, better.innovations, worse.innovations, worse.noise_gain, strict=True
     ):
-        gained += float(change[split.select].sum())
-        moved += float(np.sum(np.minimum(((after - before) / noise_gain)[split.select] ** 2, burst**2)))
+        gain += float(change[split.select].sum())
+        change_size += float(np.sum(np.minimum(((after - before) / noise_gain)[split.select] ** 2, burst**2)))
         fitted = change[split.fit] if split.fit.any() else overall
         expected += float(fitted.mean()) * int(split.select.sum())
-    beyond_chance = gained > rules.CHANCE * np.sqrt(2.0 * n)
-    return gained > rules.SOME * (min(expected, moved) if beyond_chance else expected)
+    beyond_chance = gain > rules.CHANCE * np.sqrt(2.0 * n)
+    return gain > rules.SOME * (min(expected, change_size) if beyond_chance else expected)
 
 
 def _remaining_force(fitted: Fit) -> list[np.ndarray]:

@@ -105,8 +105,8 @@ class BalanceResult:
     def verdict(self) -> str:
         """The contract's verdict."""
         if self.named:
-            alike = any(finding.equivalents for finding in self.named)
-            return "partly-named" if self.lacks else "ambiguous" if alike else "named"
+            ambiguous = any(finding.equivalents for finding in self.named)
+            return "partly-named" if self.lacks else "ambiguous" if ambiguous else "named"
         if self.lacks:
             return "unnamed"
         return "parameters-only" if self.off else "nothing-missing"
@@ -364,7 +364,7 @@ def diagnose_along_motion(request: DiagnosisRequest) -> Diagnosis:
     selected, remarks = select_terms(balance, terms, effects)
     extended = balance.fitted(selected)
     progress("confirming on held-out data", 0.8)
-    other = None if held_out_record is None else Balance.of(held_out_record, known, alike=balance)
+    other = None if held_out_record is None else Balance.of(held_out_record, known, template=balance)
     withdrawn = refuted_terms(term_shares(balance, selected, other))
     for term in withdrawn:
         label = inside(effects[terms[term]].label)

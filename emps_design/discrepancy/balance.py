@@ -111,8 +111,8 @@ def with_shifted_command(record: Record, samples: float) -> Record:
     if samples == 0.0:
         return record
     whole, places = math.floor(samples), np.arange(len(record))
-    taken = [record.u[np.clip(places + whole + offset, 0, len(record) - 1)] for offset in (-1, 0, 1, 2)]
-    return replace(record, u=interpolation_weights(samples - whole) @ np.array(taken))
+    neighbours = [record.u[np.clip(places + whole + offset, 0, len(record) - 1)] for offset in (-1, 0, 1, 2)]
+    return replace(record, u=interpolation_weights(samples - whole) @ np.array(neighbours))
 
 
 def interpolation_weights(share: float) -> np.ndarray:
@@ -210,15 +210,15 @@ class Balance:
     cutoff: float
 
     @classmethod
-    def of(cls, record: Record, axis: Axis, alike: Balance | None = None) -> Balance:
-        """The balance of ``record``; friction model, cut-off and clock from ``alike``, or chosen from the record."""
+    def of(cls, record: Record, axis: Axis, template: Balance | None = None) -> Balance:
+        """The balance of ``record``; friction model, cut-off and clock from ``template``, or chosen from the record."""
         axis = axis.supplied_by(record)
-        if alike is None:
+        if template is None:
             friction = ONE_WAY if goes_one_way(record) else SYMMETRIC
             cutoff = chosen_cutoff(with_acting_command(axis, record)[0])
             clock = command_lag(record, axis, friction, cutoff)
         else:
-            friction, cutoff, clock = alike.friction, alike.cutoff, alike.clock
+            friction, cutoff, clock = template.friction, template.cutoff, template.clock
         return cls(record, axis, friction, clock, cutoff)
 
     @cached_property
@@ -327,7 +327,7 @@ def select_terms(
         return (), []
     proposed = proposed_terms(balance.aligned, balance.axis, balance.friction, balance.cutoff)
     candidates = [term for term in proposed if term in terms]
-    strokes, lost, remarks = balance.strokes, {}, list[Message]()
+    strokes, errors_without, remarks = balance.strokes, {}, list[Message]()
     whole = strokes.errors(candidates)
     for term in candidates:
         rest, effect = [other for other in candidates if other != term], library[terms[term]]
@@ -343,8 +343,8 @@ def select_terms(
             )
             remarks.append(warning("rival-without-numbers", text, effect=effect.name))
         else:
-            lost[term] = float(strokes.errors(rest).sum())
-    return tuple(sorted(lost, key=lambda term: -lost[term])), remarks
+            errors_without[term] = float(strokes.errors(rest).sum())
+    return tuple(sorted(errors_without, key=lambda term: -errors_without[term])), remarks
 
 
 Shares = Mapping[str, Mapping[str, float] | None]  # of each term, the share that held-out data confirm

@@ -74,13 +74,13 @@ def walk(search: Outcome, moves: Sequence[Move], progress: Progress) -> Outcome:
         while (move := _next_move(search, moves)) is not None:
             proposed = move.proposes(search, progress)
             search = search.with_fits(proposed.fits, proposed.gains)
-            taken = move.takes(search, proposed.fits)
-            if not taken:
+            accepted = move.takes(search, proposed.fits)
+            if not accepted:
                 search = replace(search, closed=search.closed | {move.name})
-            elif move.detour and _in_a_circle(search, taken[0]):
+            elif move.detour and _in_a_circle(search, accepted[0]):
                 break
             else:
-                search = search.with_fits(taken).advanced(taken, move.detour, move.closes)
+                search = search.with_fits(accepted).advanced(accepted, move.detour, move.closes)
     except KeyboardInterrupt:
         return interrupted(search)
     return search
@@ -239,8 +239,8 @@ def _exchange_effects(search: Outcome, progress: Progress) -> Proposal:
 
     def instead(rest: Hypothesis, effect: Effect) -> list[Fit]:
         without, specific = evaluate(rest), shapes(search.preparation.library, general=False)
-        alike = tuple(other for other in specific if other is effect or other.confusable(effect))
-        return extended(without, alike)[0] if without.innovations else []
+        candidates = tuple(other for other in specific if other is effect or other.confusable(effect))
+        return extended(without, candidates)[0] if without.innovations else []
 
     return Proposal([fitted for fits in side_by_side(instead, places) for fitted in fits if admissible(fitted)])
 
@@ -251,8 +251,8 @@ def _clear_improvement(search: Outcome, fits: Sequence[Fit]) -> list[Fit]:
     # With bouncing backlash, the bursts of a few impacts are as large as the gain of an exchange.
     cost = bounded_cost if any(effect.play for effect in best.model.effects) else lambda f: f.cost
     least = min(fits, key=cost, default=best)
-    pays = cost(best) - cost(least) > max(search.healthy.threshold, rules.STILL_PAYS * cost(best))
-    return [converged(least)] if pays else []
+    improved = cost(best) - cost(least) > max(search.healthy.threshold, rules.STILL_PAYS * cost(best))
+    return [converged(least)] if improved else []
 
 
 def _add_to_single_effects(search: Outcome, progress: Progress) -> Proposal:
@@ -261,9 +261,9 @@ def _add_to_single_effects(search: Outcome, progress: Progress) -> Proposal:
     An effect may show on too few strokes as long as another is missing.
     """
     current = search.best
-    worth = max(search.healthy.threshold, rules.WORTH * current.cost)
+    least_gain = max(search.healthy.threshold, rules.WORTH * current.cost)
     single = [f for f in search.tried.values() if search.count_of(f) == 1 and not f.model.effects[-1].search.general]
-    leading = sorted((f for f in single if current.cost - f.cost > worth), key=lambda f: f.cost)[: rules.BEAM[0]]
+    leading = sorted((f for f in single if current.cost - f.cost > least_gain), key=lambda f: f.cost)[: rules.BEAM[0]]
     if not leading:
         return Proposal([])
     return _round(search, leading, shapes(search.preparation.library, general=False), progress)
@@ -286,14 +286,14 @@ def _converge_rivals(search: Outcome, progress: Progress) -> Proposal:
 
     Otherwise the best model would win only because it was fitted with more steps.
     """
-    best, tried, names = search.best, search.tried, set_of(search.best)
+    best, by_set, names = search.best, search.tried, set_of(search.best)
     close = []
     for name in names - set_of(search.baseline):
         others = names - {name}
-        without = tried.get(others, search.baseline).cost
+        without = by_set.get(others, search.baseline).cost
         least = rules.NEARLY_ALL * (without - best.cost)
-        alike = [rival for key, rival in tried.items() if len(key) == len(names) and others < key != names]
-        close += [(rival,) for rival in alike if without - rival.cost >= least]
+        rivals = [rival for key, rival in by_set.items() if len(key) == len(names) and others < key != names]
+        close += [(rival,) for rival in rivals if without - rival.cost >= least]
     return Proposal(side_by_side(converged, close))
 
 
@@ -345,13 +345,13 @@ def resume_move(before: Outcome) -> Move:
 
     def refits(search: Outcome, progress: Progress) -> Proposal:
         baseline, first = search.baseline, len(set_of(search.baseline))
-        near = [
+        close = [
             fitted
             for key, fitted in before.tried.items()
             if key != names and (len(key) == first + 1 or key < names or len(key) == len(names) == len(key & names) + 1)
         ]
         best = converged(fit(baseline.with_model(before.best.model)))
-        fits = side_by_side(fit, [(baseline.with_model(fitted.model),) for fitted in near])
+        fits = side_by_side(fit, [(baseline.with_model(fitted.model),) for fitted in close])
         return Proposal([fitted for fitted in (best, *fits) if admissible(fitted)])
 
     def takes(search: Outcome, fits: Sequence[Fit]) -> list[Fit]:

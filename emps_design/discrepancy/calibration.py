@@ -48,27 +48,27 @@ def unpredicted_force(fitted: Fit, library: tuple[Effect, ...]) -> tuple[np.ndar
     """
     problem = fitted.problem
     rows = _thinned(problem.strokes("used"))
-    kept = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
+    samples = np.concatenate([np.arange(stroke.start, stroke.stop) for stroke in rows])
     adjusted = tangent(fitted, "used")
-    base = adjusted.whole[kept]
+    base = adjusted.whole[samples]
 
     def changes(starts: list[Start]) -> np.ndarray:
         columns = [np.empty((base.size, 0))]
         for start in starts:
             with suppress(SimulationError):
-                columns.append(of_unit_length((start.hypothesis.residual("used")[kept] - base)[:, None]))
+                columns.append(of_unit_length((start.hypothesis.residual("used")[samples] - base)[:, None]))
         return np.column_stack(columns)
 
     def smooth() -> np.ndarray:
-        return of_unit_length(problem.gather(states_of(fitted), "used")[kept])
+        return of_unit_length(problem.gather(states_of(fitted), "used")[samples])
 
     screened = screen(fitted, library, tangent(fitted))
     groups = side_by_side(lambda group: group(), [(smooth,), *((partial(changes, starts),) for starts in screened)])
     edges = np.cumsum([0, *(stroke.stop - stroke.start for stroke in rows)])
     strokes = [slice(start, stop) for start, stop in pairwise(edges)]
-    residual = _unpredicted_by_others(of_unit_length(adjusted.basis[kept]), groups, base, strokes)
+    residual = _unpredicted_by_others(of_unit_length(adjusted.basis[samples]), groups, base, strokes)
     records = np.cumsum([split.used.sum() for split in problem.splits])
-    return tuple(part for part in np.split(residual, np.searchsorted(kept, records[:-1])) if part.size)
+    return tuple(part for part in np.split(residual, np.searchsorted(samples, records[:-1])) if part.size)
 
 
 def _thinned(strokes: list[slice]) -> list[slice]:
@@ -189,9 +189,9 @@ def set_of(fitted: Fit) -> frozenset[str]:
     return frozenset(fitted.model.names)
 
 
-def best_of_each_set(tried: FitsBySet, fits: Iterable[Fit]) -> FitsBySet:
-    """The best fit of each set of effects in ``tried`` and ``fits``."""
-    best = dict(tried)
+def best_of_each_set(by_set: FitsBySet, fits: Iterable[Fit]) -> FitsBySet:
+    """The best fit of each set of effects in ``by_set`` and ``fits``."""
+    best = dict(by_set)
     for fitted in fits:
         key = set_of(fitted)
         if key not in best or fitted.cost < best[key].cost:
@@ -324,8 +324,8 @@ def calibrate(
     The healthy reference is simulated on ``runs`` records, or with 0 computed from resampled noise on signatures.
     """
     progress("healthy reference", 0.0)
-    weighed = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
-    baseline = fit(weighed)
+    reweighted = Hypothesis(start.problem.with_whitening(floor.whitening), start.model)
+    baseline = fit(reweighted)
     warnings: tuple[Message, ...] = ()
     absorbed = tangent(baseline)
     screened = screen(baseline, preparation.library, absorbed)
@@ -338,5 +338,5 @@ def calibrate(
         except KeyboardInterrupt:
             text = "interrupted: calibrated on resampled noise instead of simulated healthy records"
             warnings = (warning("calibration-interrupted", text),)
-    tried = best_of_each_set({}, [baseline])
-    return Outcome(preparation, floor, healthy, screened, (baseline,), tried, warnings=warnings)
+    by_set = best_of_each_set({}, [baseline])
+    return Outcome(preparation, floor, healthy, screened, (baseline,), by_set, warnings=warnings)

@@ -139,18 +139,18 @@ def effect_shares(hypothesis: Hypothesis) -> list[Share]:
         here, there = _whitened_used(problem, columns[i]), _whitened_used(problem, columns_disturbed[i])
         repeats = min(1.0, float(here @ there) / max(float(there @ there), 1e-30))
         exercised = float(np.linalg.norm(here)) > rules.SLIGHT * np.sqrt(here.size)
-        weighed = tuple(rows[i] for rows in shares[1:])
+        by_weighting = tuple(rows[i] for rows in shares[1:])
         by_effect.append(
-            Share(model.names[i], *shares[0][i], repeats, exercised, weighed, bounces=bool(model.effects[i].play))
+            Share(model.names[i], *shares[0][i], repeats, exercised, by_weighting, bounces=bool(model.effects[i].play))
         )
     return by_effect
 
 
-def _shares_of(weighed: Problem, whole: Forces, columns: list[Forces], states: Forces) -> list[tuple[float, float]]:
+def _shares_of(weighted: Problem, whole: Forces, columns: list[Forces], states: Forces) -> list[tuple[float, float]]:
     """Shares of ``columns`` in the residual ``whole``, which may also contain functions of ``states``."""
-    design = np.column_stack([_whitened_used(weighed, column) for column in columns])
+    design = np.column_stack([_whitened_used(weighted, column) for column in columns])
     return _shares(
-        design, _whitened_used(weighed, whole), orthonormal(_whitened_used(weighed, states)) if states else None
+        design, _whitened_used(weighted, whole), orthonormal(_whitened_used(weighted, states)) if states else None
     )
 
 
@@ -172,11 +172,11 @@ def _shares(design: np.ndarray, residual: np.ndarray, unknown: np.ndarray | None
         structure = max(0.0, float(np.mean((basis.T @ beside) ** 2)) - noise)
     structure_share = structure / (noise + structure)
 
-    def weighed(x: np.ndarray) -> np.ndarray:
+    def weight(x: np.ndarray) -> np.ndarray:
         return (x - structure_share * basis @ (basis.T @ x)) / noise
 
-    inverse = np.linalg.pinv(unit.T @ weighed(unit), hermitian=True)
-    shares = 1.0 + inverse @ (unit.T @ weighed(residual)) / size
+    inverse = np.linalg.pinv(unit.T @ weight(unit), hermitian=True)
+    shares = 1.0 + inverse @ (unit.T @ weight(residual)) / size
     stds = np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
     return [(float(share), float(std)) for share, std in zip(shares, stds, strict=True)]
 
@@ -206,7 +206,7 @@ def _baseline_steps(hypothesis: Hypothesis) -> list[Hypothesis]:
     model = hypothesis.model
     slots = tuple(slot for slot in model.slots() if slot.effect < 0)
     steps = np.diag([rules.STEP * slot.magnitude for slot in slots])
-    return [hypothesis.with_model(model.with_vector(slots, moved)) for moved in model.vector(slots) + steps]
+    return [hypothesis.with_model(model.with_vector(slots, vector)) for vector in model.vector(slots) + steps]
 
 
 def robust(fitted: Fit) -> Fit:
@@ -221,8 +221,8 @@ def robust(fitted: Fit) -> Fit:
     numbers = []
     for _ in range(rules.IN_TURN):
         noise = floor_of_residual(fitted.with_model(model).remaining_force(), fitted.problem.period, RESIDUAL)
-        weighed = fitted.problem.with_whitening(noise.whitening)
-        descent = descend(model, slots, partial(_huber_residuals, weighed), rules.ROBUST_STEPS)
+        weighted = fitted.problem.with_whitening(noise.whitening)
+        descent = descend(model, slots, partial(_huber_residuals, weighted), rules.ROBUST_STEPS)
         model, covariance = descent.model, descent.covariance
         numbers.append(model.vector(slots))
     return evaluate(fitted.with_model(model), slots, widened(covariance, numbers))
@@ -241,8 +241,8 @@ def _huber_residuals(problem: Problem, model: Candidate) -> np.ndarray:
     """Residuals (n,) whose sum of squares is Huber's loss of the innovations (n,) of ``model``."""
     innovations = Hypothesis(problem, model).residual("used")
     size = np.abs(innovations)
-    far = np.sqrt(np.maximum(2 * rules.HUBER * size - rules.HUBER**2, 0.0))
-    return np.where(size <= rules.HUBER, innovations, np.sign(innovations) * far)
+    huber_scale = np.sqrt(np.maximum(2 * rules.HUBER * size - rules.HUBER**2, 0.0))
+    return np.where(size <= rules.HUBER, innovations, np.sign(innovations) * huber_scale)
 
 
 def equivalents(outcome: Outcome) -> dict[str, list[str]]:
@@ -273,8 +273,8 @@ def equivalents_beside_unknown(outcome: Outcome, reliable: Fit) -> dict[str, lis
     if not reliable.model.effects:
         return {}
     noise = floor_of_residual(reliable.remaining_force(), reliable.problem.period, RESIDUAL).whitening
-    weighed, by_effect = reliable.problem.with_whitening(noise), {}
-    own = evaluate(Hypothesis(weighed, reliable.model))
+    reweighted, by_effect = reliable.problem.with_whitening(noise), {}
+    reference = evaluate(Hypothesis(reweighted, reliable.model))
     for index, effect in enumerate(reliable.model.effects):
         rest = reliable.model.without(index)
         others = [
@@ -286,11 +286,11 @@ def equivalents_beside_unknown(outcome: Outcome, reliable: Fit) -> dict[str, lis
         ]
         begins = [rest, *(rest.with_effect(other, values) for other, values in others)]
         without, *rivals = side_by_side(
-            fit, [(Hypothesis(weighed, model), "used", None, 2 * rules.SHORT_STEPS) for model in begins]
+            fit, [(Hypothesis(reweighted, model), "used", None, 2 * rules.SHORT_STEPS) for model in begins]
         )
-        margin = max(outcome.healthy.threshold, rules.EQUIVALENT * (without.cost - own.cost))
-        alike = [rival for rival in rivals if admissible(rival) and rival.cost <= own.cost + margin]
-        by_effect[effect.name] = [rival.model.names[-1] for rival in sorted(alike, key=lambda rival: rival.cost)]
+        margin = max(outcome.healthy.threshold, rules.EQUIVALENT * (without.cost - reference.cost))
+        equivalents = [rival for rival in rivals if admissible(rival) and rival.cost <= reference.cost + margin]
+        by_effect[effect.name] = [rival.model.names[-1] for rival in sorted(equivalents, key=lambda rival: rival.cost)]
     return by_effect
 
 
@@ -334,11 +334,11 @@ def reliable_effects(held_out: HeldOut | None, extended: Fit) -> tuple[Fit, tupl
             doubtful = [a for a in judged if not _size_known(extended, a.name)]
             if not doubtful:
                 break
-        gone = (
+        removed = (
             [max(doubtful, key=lambda a: a.distance_from_one)] if doubtful else [a for a in judged if not a.is_reliable]
         )
-        withdrawn += gone
-        extended = _without(extended, [share.name for share in gone])
+        withdrawn += removed
+        extended = _without(extended, [share.name for share in removed])
         refitted = refitted or not doubtful
         if refitted and _plant_effects(extended):
             extended = robust(fit(extended, part="used"))  # its parameters came from a model with more effects
@@ -390,8 +390,8 @@ def with_central_instants(fitted: Fit) -> Fit:
             model = _with_instant(model, index, place, record, 0.5 * (low + high))
     if model is fitted.model:
         return fitted
-    moved = evaluate(fitted.with_model(model), fitted.slots, fitted.covariance)
-    return moved if moved.cost < fitted.cost + rules.CHANCE**2 * _cost_per_sample(fitted) else fitted
+    candidate = evaluate(fitted.with_model(model), fitted.slots, fitted.covariance)
+    return candidate if candidate.cost < fitted.cost + rules.CHANCE**2 * _cost_per_sample(fitted) else fitted
 
 
 def deviation_in_time(fitted: Fit, index: int, place: int, record: int) -> float:
@@ -419,10 +419,10 @@ def equal_cost_range(fitted: Hypothesis, index: int, place: int, record: int) ->
             return False
         return float(changed @ changed) < limit
 
-    def end(way: float, bound: float) -> float:
+    def end(direction: float, bound: float) -> float:
         reached, step = now, 2.0 * problem.period
         while reached != bound:
-            further = min(reached + step, bound) if way > 0.0 else max(reached - step, bound)
+            further = min(reached + step, bound) if direction > 0.0 else max(reached - step, bound)
             if not is_as_good(further):
                 break
             reached, step = further, 2.0 * step

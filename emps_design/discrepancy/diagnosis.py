@@ -163,8 +163,8 @@ def _finer_floor(outcome: Outcome) -> Floor | None:
     splits, period = best.problem.splits, best.problem.period
     of_laps = floor_of_laps(best.residuals(), splits, period) if floor.from_laps else None
     finer = of_laps or floor_of_residual(best.remaining_force(), period, RESIDUAL)
-    pays = finer.force < rules.FINER * floor.force or finer.force_60hz < rules.FINER * floor.force_60hz
-    return finer if pays else None
+    lower = finer.force < rules.FINER * floor.force or finer.force_60hz < rules.FINER * floor.force_60hz
+    return finer if lower else None
 
 
 def _monotonic(progress: Progress) -> Progress:

@@ -129,8 +129,8 @@ class Envelope:
         rest = np.full(self.samples(pause), target)
         if target == here:
             return [np.empty(0), rest]
-        way = point_to_point(self.period, abs(target - here), speed * self.speed, acceleration * self.acceleration)
-        return [here + np.sign(target - here) * way, rest]
+        path = point_to_point(self.period, abs(target - here), speed * self.speed, acceleration * self.acceleration)
+        return [here + np.sign(target - here) * path, rest]
 
     def samples(self, seconds: float) -> int:
         """Number of samples in ``seconds``, at least two."""
@@ -374,7 +374,7 @@ def choose(rivals: tuple[Fit, ...], threshold: float, noise: float = 1.0) -> Nex
     def converged(name: str) -> _Apart:
         pair = first[name].pair
         both_ways = side_by_side(
-            _apart, [(*way, references[name], noise, rules.FEW_STEPS) for way in _directions(pair)]
+            _apart, [(*direction, references[name], noise, rules.FEW_STEPS) for direction in _directions(pair)]
         )
         return replace(min(both_ways, key=lambda apart: apart.over_noise), pair=pair)
 
@@ -430,7 +430,7 @@ def _nearest(rivals: tuple[Fit, ...], extremes: list[np.ndarray], q_ref: np.ndar
 def _directions(pair: tuple[Fit, Fit]) -> list[tuple[Fit, Fit]]:
     """Pairs (machine, rival fitted to it) in both orders; bristle models, slow to simulate, only as the machine."""
     both = [pair, pair[::-1]]
-    return [way for way in both if not any(effect.takes_dry for effect in way[1].model.effects)] or both
+    return [order for order in both if not any(effect.takes_dry for effect in order[1].model.effects)] or both
 
 
 def _apart(machine: Fit, rival: Fit, q_ref: np.ndarray, noise: float, steps: int) -> _Apart:

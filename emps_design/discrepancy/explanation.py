@@ -188,8 +188,8 @@ def _without(extended: Fit, index: int, first: Fit) -> Fit:
     """
     rest = extended.model.without(index)
     begins = (rest, replace(rest, baseline=first.model.baseline))
-    tried = side_by_side(fit, [(extended.with_model(begin), "used", None, 1) for begin in begins])
-    runs = [fitted for fitted in tried if fitted.innovations]
+    trials = side_by_side(fit, [(extended.with_model(begin), "used", None, 1) for begin in begins])
+    runs = [fitted for fitted in trials if fitted.innovations]
     if not runs:  # cannot be simulated without the effect: compare with the baseline
         return first
     return fit(min(runs, key=lambda fitted: fitted.cost), "used", steps=rules.FEW_STEPS)
@@ -213,8 +213,8 @@ def _where(fitted: Fit, index: int, number: int, least: float) -> dict[str, Any]
         except SimulationError:
             return None  # parameters that make the model unstable do not describe this machine
 
-    tried = side_by_side(extent_of, [(hypothesis,) for hypothesis in (fitted, *parameter_draws(fitted, index))])
-    regions = [region for region in tried if region is not None]
+    extents = side_by_side(extent_of, [(hypothesis,) for hypothesis in (fitted, *parameter_draws(fitted, index))])
+    regions = [region for region in extents if region is not None]
     if not regions:  # cannot be simulated without the effect: it acts wherever the model moves
         regions.append(extent(record, fitted.run(number).force, fitted.problem.splits[number].used))
     where = where_document(regions[0], fitted.problem.axis.units, regions[1:], placed)
@@ -317,7 +317,7 @@ def _by_shape(
 
     value = float(faintest[0, 0])
     try:
-        ends = [min(max(value * far, parameter.lower), parameter.upper) for far in (rules.FAR, 1 / rules.FAR)]
+        ends = [min(max(value * factor, parameter.lower), parameter.upper) for factor in (rules.FAR, 1 / rules.FAR)]
         there = [innovations(end) for end in ends]
         grows = apart(there[0], absorbed.whole) < apart(there[1], absorbed.whole)
         unseen, faded = ends[not grows], there[not grows]
@@ -397,8 +397,8 @@ def with_marks(drawn: list[View], named: tuple[Finding, ...]) -> tuple[View, ...
     return (*head, *tail)
 
 
-def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
-    """Further entries of the document; ``missed`` is the baseline's missing force on the record shown."""
+def _details(validation: Validation, missing: MissingForce) -> dict[str, Any]:
+    """Further entries of the document; ``missing`` is the baseline's missing force on the record shown."""
     outcome, baseline, extended = validation.outcome, validation.baseline, validation.extended
     axis = extended.problem.axis
     unseen = not_excluded(outcome, extended.model.names)
@@ -418,7 +418,7 @@ def _details(validation: Validation, missed: MissingForce) -> dict[str, Any]:
     if validation.verdict == "parameters-only":
         numbers = baseline.model.baseline
         shown["changed"] = changed(axis.mechanics.array(), numbers, wrong_numbers(baseline), axis.units)
-    shown["spectrum_over_time"] = spectrum_over_time(missed, axis.units)
+    shown["spectrum_over_time"] = spectrum_over_time(missing, axis.units)
     shown["interrupted"] = outcome.interrupted
     if validation.verdict in ("unnamed", "partly-named"):
         shown["unexplained"] = unexplained(validation)

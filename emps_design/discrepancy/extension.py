@@ -145,11 +145,11 @@ def _short_fit(start: Start, begin: Candidate, absorbed: Tangent, steps: int) ->
 
 def _promising(begins: list[Hypothesis]) -> list[Hypothesis]:
     """The ``begins`` to fit further: for an effect with many starts the best few after some steps."""
-    alike: dict[tuple[str, ...], list[Hypothesis]] = {}
+    by_set: dict[tuple[str, ...], list[Hypothesis]] = {}
     for begin in begins:
-        alike.setdefault(begin.model.names, []).append(begin)
+        by_set.setdefault(begin.model.names, []).append(begin)
     promising: list[Hypothesis] = []
-    for group in alike.values():
+    for group in by_set.values():
         if len(group) > rules.FEW:
             promising += sorted(_first_steps(group), key=lambda f: f.cost)[: rules.FEW]
         else:
@@ -195,8 +195,8 @@ def _try_other_shapes(fitted: Fit) -> Fit:
         return fitted
     rests = either_baseline(fitted.with_model(model.without(len(model.effects) - 1)))
     begins = [begin for rest in rests for begin in _other_shapes(evaluate(rest), effect, values, shapes)]
-    tried = _in_reach(begins, fitted)
-    best = min((fitted, *tried), key=lambda f: f.cost)
+    trials = _in_reach(begins, fitted)
+    best = min((fitted, *trials), key=lambda f: f.cost)
     return fitted if best is fitted or not admissible(best) else _fit_until_converged(best)
 
 

@@ -143,9 +143,9 @@ def _fit_by_surfaces(fitted: Fit, part: str) -> Fit:
     descent = descend_rough(fitted.model, slots, residual)
     if not descent.covariance.any():  # no neighbourhood can be simulated
         return fitted
-    moved = evaluate(fitted.with_model(descent.model), slots, descent.covariance)
+    reached = evaluate(fitted.with_model(descent.model), slots, descent.covariance)
     stayed = replace(fitted, slots=slots, covariance=descent.covariance, surface_checked=True)
-    return min((stayed, moved), key=bounded_cost)
+    return min((stayed, reached), key=bounded_cost)
 
 
 def bounded_cost(fitted: Fit) -> float:
@@ -160,17 +160,17 @@ def sensitivities(fitted: Fit, slots: tuple[Slot, ...], part: str) -> np.ndarray
     """
     model, base = fitted.model, fitted.residual(part)
 
-    def changed(moved: Hypothesis) -> np.ndarray:
+    def changed(hypothesis: Hypothesis) -> np.ndarray:
         try:
-            return moved.residual(part) - base
+            return hypothesis.residual(part) - base
         except SimulationError:
             return np.zeros_like(base)
 
     x, moves = model.vector(slots), []
     for k, slot in enumerate(slots):
-        moved, step = x.copy(), rules.STEP * slot.magnitude
-        moved[k] += step * (1 if x[k] + step <= slot.quantity.upper else -1)
-        moves.append((fitted.with_model(model.with_vector(slots, moved)),))
+        shifted, step = x.copy(), rules.STEP * slot.magnitude
+        shifted[k] += step * (1 if x[k] + step <= slot.quantity.upper else -1)
+        moves.append((fitted.with_model(model.with_vector(slots, shifted)),))
     return np.column_stack(side_by_side(changed, moves))
 
 
@@ -200,8 +200,8 @@ def _lines_apart(fitted: Fit) -> bool:
         amplitude, repeat = effect.place(effect.linear[0]), effect.place(effect.repeats)
         if model.values[index][0, amplitude] < rules.SURE * fitted.std(index, amplitude):
             return False
-        alike = [i for i, other in enumerate(model.effects) if kind_of(other.name) == kind_of(effect.name)]
-        times = [travel / model.values[i][0, repeat] for i in alike if i != index]
+        same_kind = [i for i, other in enumerate(model.effects) if kind_of(other.name) == kind_of(effect.name)]
+        times = [travel / model.values[i][0, repeat] for i in same_kind if i != index]
         if any(abs(travel / model.values[index][0, repeat] - other) < 1.0 for other in times):
             return False
     return True
@@ -229,8 +229,8 @@ def bounds_met(fitted: Fit) -> list[Slot]:
     """The free parameters of the effects that ended on a bound."""
     met = []
     for slot, value in zip(fitted.slots, fitted.model.vector(fitted.slots), strict=True):
-        near = rules.NOTHING * slot.magnitude
-        if slot.effect >= 0 and (value <= slot.quantity.lower + near or value >= slot.quantity.upper - near):
+        close = rules.NOTHING * slot.magnitude
+        if slot.effect >= 0 and (value <= slot.quantity.lower + close or value >= slot.quantity.upper - close):
             met.append(slot)
     return met
 

@@ -218,7 +218,7 @@ def descend(
     simulations = steps * (len(slots) + 1)
     while simulations > 0:
         nudges = np.where(x + nudge <= upper, nudge, -nudge)
-        shifted = side_by_side(attempt, [(moved,) for moved in x + np.diag(nudges)])
+        shifted = side_by_side(attempt, [(point,) for point in x + np.diag(nudges)])
         for k, (reached, step) in enumerate(zip(shifted, nudges, strict=True)):
             jacobian[:, k] = 0.0 if reached is None else (reached - current) / step
         simulations -= len(slots)
@@ -230,11 +230,11 @@ def descend(
                 if reached is None or float(reached @ reached) >= cost:
                     damping = tried * 10
                     continue
-                moved, change = trial - x, reached - current
+                delta, change = trial - x, reached - current
                 model, x, current = free.at(trial), trial, reached
                 damping = max(tried / 10, rules.NOTHING)
                 if float(current @ current) < (1 - rules.MINOR) * cost:
-                    secant += np.outer(change - secant @ moved, moved / (moved @ moved))
+                    secant += np.outer(change - secant @ delta, delta / (delta @ delta))
                     most = 1
                 break
         gain = first - float(current @ current)
@@ -351,10 +351,10 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
         covariance, rough = covariance_of(jacobian, middle), float(np.std([m @ m for m in met]))
         normal = jacobian.T @ jacobian
         move = -np.linalg.lstsq(normal + rules.DAMPING * np.diag(np.diag(normal)), jacobian.T @ middle, rcond=None)[0]
-        moved = np.clip(x + np.clip(move, -rules.FARTHEST * reach, rules.FARTHEST * reach), *free.bounds)
-        before, reached = least()[0], visit(moved[None])
+        target = np.clip(x + np.clip(move, -rules.FARTHEST * reach, rules.FARTHEST * reach), *free.bounds)
+        before, reached = least()[0], visit(target[None])
         astray = reached is None or visited[-1][0] > rules.IN_REACH * least()[0]
-        x = least()[1] if astray else moved
+        x = least()[1] if astray else target
         failures = 0 if least()[0] < (1 - rules.BARELY) * before else failures + (not astray)
         if failures == rules.IN_VAIN:
             break
@@ -363,8 +363,8 @@ def descend_rough(start: Candidate, slots: tuple[Slot, ...], residual: Callable[
         elif np.all(np.abs(move) < reach) or number % rules.OFTEN == rules.OFTEN - 1:
             reach = reach * rules.CLOSER
     cost, best = least()
-    alike = np.array([place for other_cost, place in visited if other_cost <= cost + rules.ALIKE * rough])
-    covariance = covariance + np.cov(alike.T, bias=True).reshape(covariance.shape)
+    equal = np.array([place for other_cost, place in visited if other_cost <= cost + rules.ALIKE * rough])
+    covariance = covariance + np.cov(equal.T, bias=True).reshape(covariance.shape)
     return Descent(free.at(best), cost, free.unscaled(covariance))
 
 
@@ -372,7 +372,7 @@ def _initial_reach(attempt: Callable[[np.ndarray], np.ndarray | None], x: np.nda
     """Change (k,) of each of ``x`` (k,) alone that changes the residual ``first`` by ``rules.TWICE`` times its cost."""
     reach, target = np.full(x.size, 1e-3), rules.TWICE * float(first @ first)
     for _ in range(rules.OFTEN):
-        met = side_by_side(attempt, [(moved,) for moved in x + np.diag(reach)])
+        met = side_by_side(attempt, [(point,) for point in x + np.diag(reach)])
         changed = [np.inf if residual is None else float(np.sum((residual - first) ** 2)) for residual in met]
         reach = reach * np.clip(np.sqrt(target / np.maximum(changed, 1e-300)), 0.1, 10.0)
     return reach

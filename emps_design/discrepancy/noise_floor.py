@@ -117,7 +117,7 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
 
     signals = [(force, low_pass(force, rules.CUTOFF_HZ, period)) for force in residuals]
     ways = partial(_weighted, order=1), partial(_weighted, order=2), _closest_laps
-    first, second, agreeing = (_differences(signals, splits, way) for way in ways)
+    first, second, agreeing = (_differences(signals, splits, difference) for difference in ways)
     if not first[0]:
         return None
     drifts = bool(second[0]) and _rms(second[0]) < rules.CLEARLY_LESS * _rms(first[0])
@@ -128,12 +128,12 @@ def floor_of_laps(residuals: tuple[np.ndarray, ...], splits: tuple[Split, ...], 
     return quietest if quietest.force < rules.THIRD * floor.force else floor
 
 
-def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], way: LapDifference) -> Parts:
-    """Differences of laps computed by ``way``, for all records, unfiltered and low-passed, without outlying pieces."""
+def _differences(signals: Sequence[Signals], splits: tuple[Split, ...], difference: LapDifference) -> Parts:
+    """Lap differences by ``difference`` of all records, unfiltered and low-passed, without outlying pieces."""
     raw: list[np.ndarray] = []
     smooth: list[np.ndarray] = []
     for both, split in zip(signals, splits, strict=True):
-        usual = _without_outliers(*way(both, split))
+        usual = _without_outliers(*difference(both, split))
         raw += usual[0]
         smooth += usual[1]
     return raw, smooth

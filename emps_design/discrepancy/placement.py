@@ -94,14 +94,14 @@ def placed(force: np.ndarray, run: Run, split: Split, whitening: Whitening, leas
     for over, (x, cells, (proposing, testing)) in coordinates.items():
         edges = np.linspace(float(x[split.used].min()), float(x[split.used].max()), cells + 1)
         cell = np.clip(np.digitize(x, edges) - 1, 0, cells - 1)
-        for way in ways:
-            sums = np.bincount(cell[proposing], (way * force)[proposing], cells)
+        for direction in ways:
+            sums = np.bincount(cell[proposing], (direction * force)[proposing], cells)
             count = np.bincount(cell[proposing], minlength=cells)
             clear = np.abs(sums) > least * count + rules.CHANCE * slow * np.sqrt(count)
             signs = np.where(clear, np.sign(sums), 0.0)
             starts = [0, *(np.flatnonzero(np.diff(signs)) + 1), cells]
             for start, stop in pairwise(starts):
-                weights = np.where(testing & (cell >= start) & (cell < stop), signs[start] * way, 0.0)
+                weights = np.where(testing & (cell >= start) & (cell < stop), signs[start] * direction, 0.0)
                 if weights.any():
                     total, samples = float(weights @ force), float(np.abs(weights).sum())
                     deviation = float(np.linalg.norm(whitening.undo(weights[::-1])))
@@ -286,7 +286,7 @@ def _band(force: np.ndarray, period: float) -> tuple[float, float]:
     from scipy.signal import welch
 
     frequency, density = welch(force, 1 / period, nperseg=int(min(4096, force.size)), detrend="constant")
-    kept = frequency <= rules.LINES_HZ[1]
-    total = np.cumsum(density[kept]) / max(float(density[kept].sum()), 1e-30)
-    lower, upper = (float(frequency[kept][min(np.searchsorted(total, q), kept.sum() - 1)]) for q in (0.1, 0.9))
+    shown = frequency <= rules.LINES_HZ[1]
+    total = np.cumsum(density[shown]) / max(float(density[shown].sum()), 1e-30)
+    lower, upper = (float(frequency[shown][min(np.searchsorted(total, q), shown.sum() - 1)]) for q in (0.1, 0.9))
     return lower, upper

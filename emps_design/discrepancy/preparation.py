@@ -123,11 +123,11 @@ def propose_command(effect: Effect, record: Record, gap: np.ndarray) -> np.ndarr
         return None
     nothing = np.zeros(len(record))
     motion = Motion(record.t, record.q, nothing, nothing, nothing, record.period, record.u)
-    tried = []
+    attempts = []
     for table in effect.search.propose(motion, gap, np.zeros(4), np.ones(len(record), bool)):
         values = np.array([min(max(table[p.name], p.lower), p.upper) for p in effect.parameters])
-        tried.append((float(np.var(gap - command_of(effect, values, record))), values))
-    return min(tried, key=lambda pair: pair[0])[1] if tried else None
+        attempts.append((float(np.var(gap - command_of(effect, values, record))), values))
+    return min(attempts, key=lambda pair: pair[0])[1] if attempts else None
 
 
 def command_of(effect: Effect, values: np.ndarray, record: Record) -> np.ndarray:
@@ -154,9 +154,9 @@ def _wrong_law(record: Record, axis: Axis, swing: float, miss: float) -> str:
     )
     kind = get_law(axis.controller.kind)
     if kind.propose is not None:
-        wanted = np.where(np.arange(len(record)) < rules.START_UP, np.nan, record.u)
+        target = np.where(np.arange(len(record)) < rules.START_UP, np.nan, record.u)
         followed = law_of(axis, record.period, record.extra).followed(record)
-        proposed = kind.propose(followed, record.q, wanted, axis.controller, record.period)
+        proposed = kind.propose(followed, record.q, target, axis.controller, record.period)
         if proposed is not None:
             free = axis.replace(controller=proposed, drive={"command_limit": NO_LIMIT})
             miss_of_fit = float(np.std((record.u - law_voltage(record, free))[rules.START_UP :]))
@@ -220,8 +220,8 @@ def check_records(records: tuple[Record, ...], axis: Axis, along_motion: bool = 
                 f"{record.name}: {100 * limited:.0f} % of the samples are at the {axis.units.word('voltage')} limit, "
                 f"expected less than {100 * rules.HALF:.0f} %; lower speed or acceleration"
             )
-        own = (*record.contradictions, *_excitation_messages(record, axis.units))
-        gaps += [message.of(record.name) for message in own]
+        messages = (*record.contradictions, *_excitation_messages(record, axis.units))
+        gaps += [message.of(record.name) for message in messages]
     return gaps
 
 
@@ -241,8 +241,8 @@ def check_same_drive(record: Record, other: Record, axis: Axis) -> None:
             f"{other.name}: found a sampling period of {1e3 * other.period:g} ms, expected "
             f"{1e3 * record.period:g} ms of {record.name}; all records must come from one drive"
         )
-    own = {source["record"] for source in recorded_gains(axis).values()}
-    for name in sorted((DRIVE - own) & record.extra.keys() & other.extra.keys()):
+    with_gains = {source["record"] for source in recorded_gains(axis).values()}
+    for name in sorted((DRIVE - with_gains) & record.extra.keys() & other.extra.keys()):
         actual, expected = (float(np.ravel(r.extra[name])[0]) for r in (other, record))
         if not np.isclose(actual, expected, rtol=1e-6):
             raise RecordError(
@@ -513,12 +513,12 @@ def _splits(records: tuple[Record, ...], fit_time: Interval | None, confirm_time
     few = sum(has_samples) < FEWEST_STROKES
     splits: list[Split] = []
     for record, mask in zip(records, allowed, strict=True):
-        splits.append(split(record, mask, sum(len(made.strokes) for made in splits), rules.PARTS if few else 1))
+        splits.append(split(record, mask, sum(len(earlier.strokes) for earlier in splits), rules.PARTS if few else 1))
     fits, selects, used = (int(sum(getattr(s, part).sum() for s in splits)) for part in ("fit", "select", "used"))
     if fits < rules.FEWEST or selects < rules.FEWEST_TO_SELECT:
         raise InputError(
             f"{', '.join(record.name for record in records)}: found {used} samples to fit, in "
-            f"{sum(len(made.strokes) for made in splits)} strokes; expected at least {rules.FEWEST} to fit and "
+            f"{sum(len(each.strokes) for each in splits)} strokes; expected at least {rules.FEWEST} to fit and "
             f"{rules.FEWEST_TO_SELECT} others to select from: make a longer record (identify needs less)"
         )
     return tuple(splits)

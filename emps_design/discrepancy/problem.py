@@ -130,7 +130,7 @@ class Problem:
         apply = self.whitening.apply
         innovations = tuple(apply(f) if f.ndim == 1 else np.apply_along_axis(apply, 0, f) for f in forces)
         if self.noise_gain:
-            innovations = tuple((x.T / loud).T for x, loud in zip(innovations, self.noise_gain, strict=True))
+            innovations = tuple((x.T / gain).T for x, gain in zip(innovations, self.noise_gain, strict=True))
         if not self.states:
             return innovations
         return tuple(x - basis @ (basis.T @ x) for x, basis in zip(innovations, self._states_basis, strict=True))

@@ -247,11 +247,11 @@ def find_lap(q_ref: np.ndarray) -> int:
     difference = energy[n - lags] + (energy[n] - energy[lags]) - 2 * product
     mean_square = np.maximum(difference, 0.0) / (n - lags)
     limit = 1e-8 * centred.var()
-    far = int(np.argmax(mean_square > 1e-2 * centred.var()))  # leave the neighbourhood of lag 0 first
-    close = np.nonzero(mean_square[far : n // 2 + 1] < limit)[0]
-    if far == 0 or close.size == 0:
+    lag = int(np.argmax(mean_square > 1e-2 * centred.var()))  # leave the neighbourhood of lag 0 first
+    close = np.nonzero(mean_square[lag : n // 2 + 1] < limit)[0]
+    if lag == 0 or close.size == 0:
         return 0
-    first = far + int(close[0])
+    first = lag + int(close[0])
     last = first + int(np.argmax(np.append(np.diff(close[:50]) > 1, True)))
     return first + int(np.argmin(mean_square[first : last + 1]))
 

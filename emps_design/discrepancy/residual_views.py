@@ -71,9 +71,10 @@ def shown(view: View) -> float:
     """Part of the gap [N rms] that a view shows: by the means in its bins, or the strongest line of a spectrum."""
     parts = []
     for y in (view.before, view.after):
-        kept = y[np.isfinite(y)]
+        finite = y[np.isfinite(y)]
         spectral = view.quantity in SPECTRAL
-        parts.append(float(kept.max() / np.sqrt(2) if spectral else np.sqrt(np.mean(kept**2))) if kept.size else 0.0)
+        rms = float(finite.max() / np.sqrt(2) if spectral else np.sqrt(np.mean(finite**2))) if finite.size else 0.0
+        parts.append(rms)
     return parts[0] - parts[1] if not np.array_equal(view.before, view.after, equal_nan=True) else parts[0]
 
 
@@ -92,26 +93,26 @@ def _around_reversals(
         return []
     since, towards = np.full(motion.t.size, np.nan), np.zeros(motion.t.size)
     for turn in turns:
-        near = np.abs(motion.t - motion.t[turn]) <= drawn
-        since[near], towards[near] = (motion.t - motion.t[turn])[near], np.sign(motion.v[turn])
-    kept = window & np.isfinite(since)
-    if not kept.any():  # no reversal lies inside the window
+        in_window = np.abs(motion.t - motion.t[turn]) <= drawn
+        since[in_window], towards[in_window] = (motion.t - motion.t[turn])[in_window], np.sign(motion.v[turn])
+    shown = window & np.isfinite(since)
+    if not shown.any():  # no reversal lies inside the window
         return []
     forces = tuple(towards * force for force in pairs)
-    return [_binned("time from reversal", "s", since, forces, kept, noise, 60, "in the new direction")]
+    return [_binned("time from reversal", "s", since, forces, shown, noise, 60, "in the new direction")]
 
 
 def _periods(motion: Motion, pairs: tuple[np.ndarray, np.ndarray], away: np.ndarray) -> list[View]:
     """Amplitude of the force at each period of position (Lomb-Scargle), away from reversals."""
-    kept = thin(away)
+    places = thin(away)
     stroke = float(np.ptp(motion.q))
-    if kept.size < 200 or stroke <= 0:
+    if places.size < 200 or stroke <= 0:
         return []
     periods = np.geomspace(stroke / 3, stroke / 300, 400)
-    phase = motion.q[kept][:, None] * (2 * np.pi / periods)
-    waves, mean = (np.sin(phase), np.cos(phase)), np.full((kept.size, 1), kept.size**-0.5)
-    explained = [squares_explained(f[kept] - f[kept].mean(), mean, *waves) for f in pairs]
-    amplitudes = [np.sqrt(2 * squares / kept.size) for squares in explained]
+    phase = motion.q[places][:, None] * (2 * np.pi / periods)
+    waves, mean = (np.sin(phase), np.cos(phase)), np.full((places.size, 1), places.size**-0.5)
+    explained = [squares_explained(f[places] - f[places].mean(), mean, *waves) for f in pairs]
+    amplitudes = [np.sqrt(2 * squares / places.size) for squares in explained]
     return [View("period of position", "m", periods[::-1], amplitudes[0][::-1], amplitudes[1][::-1])]
 
 
@@ -143,8 +144,8 @@ def _spectrum(pairs: tuple[np.ndarray, np.ndarray], window: np.ndarray, period: 
     for force in pairs:
         frequency, density = welch(force[window], 1 / period, nperseg=length, detrend="constant")
         amplitudes.append(np.sqrt(density * (frequency[1] - frequency[0])))
-    kept = (frequency > 0) & (frequency <= rules.LINES_HZ[1])
-    return View("frequency", "Hz", frequency[kept], amplitudes[0][kept], amplitudes[1][kept], title="rms in each line")
+    band = (frequency > 0) & (frequency <= rules.LINES_HZ[1])
+    return View("frequency", "Hz", frequency[band], amplitudes[0][band], amplitudes[1][band], title="rms in each line")
 
 
 def force_map(missing: MissingForce, units: Units, cells: int = 36) -> dict[str, Any]:
@@ -152,10 +153,10 @@ def force_map(missing: MissingForce, units: Units, cells: int = 36) -> dict[str,
 
     ``force`` has one row per velocity; None in cells without samples.
     """
-    kept = (
+    band = (
         missing.away if missing.away.any() else np.ones_like(missing.away)
     )  # where all samples are near reversals, take all
-    q, v, force = (x[kept] for x in (missing.motion.q, missing.motion.v, missing.force))
+    q, v, force = (x[band] for x in (missing.motion.q, missing.motion.v, missing.force))
     edges = [np.linspace(float(x.min()), float(x.max()) + 1e-12, cells + 1) for x in (v, q)]
     count = np.histogram2d(v, q, edges)[0]
     mean = np.histogram2d(v, q, edges, weights=force)[0] / np.maximum(count, 1)
@@ -178,7 +179,7 @@ def spectrum_over_time(
     length = int(min(max(rate * piece_time, 16), missing.force.size // 4))
     overlap = max(0, length - max(1, (missing.force.size - length) // pieces))
     frequency, time, density = spectrogram(missing.force, rate, nperseg=length, noverlap=overlap)
-    kept = (frequency > 0) & (frequency <= rules.LINES_HZ[1])
-    rms = np.sqrt(density[kept] * (frequency[1] - frequency[0]))
+    band = (frequency > 0) & (frequency <= rules.LINES_HZ[1])
+    rms = np.sqrt(density[band] * (frequency[1] - frequency[0]))
     axis_units = {"time": "s", "frequency": "Hz", "force": units.unit("N")}
-    return {"time": time.tolist(), "frequency": frequency[kept].tolist(), "force": rms.tolist(), "units": axis_units}
+    return {"time": time.tolist(), "frequency": frequency[band].tolist(), "force": rms.tolist(), "units": axis_units}

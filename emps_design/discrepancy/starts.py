@@ -92,7 +92,7 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
     """
     base = absorbed.whole
     axis_model = current.with_axis_baseline().model
-    far = bent(current, float(base @ base) / base.size)
+    biased = bent(current, float(base @ base) / base.size)
 
     def from_values(values: np.ndarray) -> list[Start]:
         begins: list[Start] = []
@@ -106,7 +106,7 @@ def starts(current: Fit, effect: Effect, missing: tuple[MissingForce, ...], abso
             # The cost falls if the signature is opposite to the residual; an effect of the wrong sign gains nothing.
             projection = float(absorbed.residual @ signature)
             begins.append(Start(trial, projection**2 if projection < 0 else 0.0, signature, size, anchored=True))
-            if far:
+            if biased:
                 other = current.with_model(axis_model.with_effect(effect, values))
                 residual = other.residual("fit")
                 gain = max(0.0, float(base @ base - residual @ residual))
@@ -187,13 +187,13 @@ def _complete(
         m = missing.motion
         sign = np.sign(m.v)
         absorbing = np.column_stack([m.a, m.v, sign, np.ones_like(m.v), states])
-        kept = thin(missing.away)
-        design = np.column_stack([columns, absorbing])[kept]
+        places = thin(missing.away)
+        design = np.column_stack([columns, absorbing])[places]
         size = np.sqrt((design**2).mean(axis=0))
         if not np.all(size[: columns.shape[1]] > 0):
             return None
         size[size == 0] = 1.0
-        solution = np.linalg.lstsq(design / size, missing.force[kept], rcond=1e-8)[0] / size
+        solution = np.linalg.lstsq(design / size, missing.force[places], rcond=1e-8)[0] / size
         shape = {**shape, **effect.from_coefficients(solution[: columns.shape[1]], shape)}
     elif absent:
         return None

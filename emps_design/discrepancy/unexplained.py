@@ -42,12 +42,12 @@ def calibration_in_words(search: Outcome) -> str:
     """The gain in whitened cost that a finding needs, and how it was found, as text."""
     healthy, runs = search.healthy, search.healthy.largest.size
     level = max(rules.LEVEL, 1 / (runs + 1))
-    made = f"{runs} simulated healthy records, each searched like this one"
+    origin = f"{runs} simulated healthy records, each searched like this one"
     if not healthy.searched:
-        made = f"{runs} healthy references made of resampled noise"
+        origin = f"{runs} healthy references made of resampled noise"
     return (
         f"A finding must reduce the whitened cost by more than {healthy.threshold:.1f}, which the best candidate "
-        f"reaches in {100 * level:.2g} % of {made}, and by more than {100 * rules.WORTH:g} % "
+        f"reaches in {100 * level:.2g} % of {origin}, and by more than {100 * rules.WORTH:g} % "
         f"({100 * rules.WORTH_AT_FLOOR:g} % where only noise is left); the noise is {search.floor.source}."
     )
 
@@ -83,16 +83,16 @@ def earlier_instants(validation: Validation, index: int) -> list[Message]:
 
     Per-record parameters were fitted again on the held-out part; the new values are used only if clearly better.
     """
-    kept, held_out = validation.outcome.preparation.hold_out, validation.held_out
+    choice, held_out = validation.outcome.preparation.hold_out, validation.held_out
     effect = validation.extended.model.effects[index]
-    if kept.chosen != "kept" or kept.time is None or held_out is None or effect.name not in held_out.extended.names:
+    if choice.chosen != "kept" or choice.time is None or held_out is None or effect.name not in held_out.extended.names:
         return []
-    start, stop = kept.time
+    start, stop = choice.time
     now, there = (m.values[m.names.index(effect.name)][0] for m in (validation.extended.model, held_out.extended))
     return [
         warning(
             "earlier-instant",
-            f"{p.name} is the first one in the fitted data; in {kept.what}, held out, it is at "
+            f"{p.name} is the first one in the fitted data; in {choice.what}, held out, it is at "
             f"{there[place]:.4g} {p.unit}",
             parameter=p.name,
             time=float(there[place]),
@@ -275,11 +275,11 @@ def depends_on(
     shares = {}
     for name in VARIABLES:
         design, force = _design(known, used, name, ranges[name])
-        others, wanted = _design(new, there, name, ranges[name])
+        others, there_columns = _design(new, there, name, ranges[name])
         square = design.T @ design
         ridge = rules.NOTHING * np.trace(square) / len(square) * np.eye(len(square))
-        rest = wanted - others @ np.linalg.solve(square + ridge, design.T @ force)
-        shares[name] = max(0.0, 1.0 - float(rest @ rest) / max(float(wanted @ wanted), 1e-30))
+        rest = there_columns - others @ np.linalg.solve(square + ridge, design.T @ force)
+        shares[name] = max(0.0, 1.0 - float(rest @ rest) / max(float(there_columns @ there_columns), 1e-30))
     return shares | {"frequency": _in_one_line(new, there)}
 
 
@@ -320,7 +320,7 @@ def _in_one_line(missing: tuple[MissingForce, ...], masks: tuple[np.ndarray, ...
         frequency, power = periodogram(np.where(mask, gap.force, 0.0), 1 / gap.motion.period)
         power[frequency < rules.LINES_HZ[0]] = 0.0
         top = frequency[np.argmax(power)]
-        near = np.abs(frequency - top) < (1 - rules.NEARLY_ALL) * top
+        close = np.abs(frequency - top) < (1 - rules.NEARLY_ALL) * top
         whole = max(float(np.var(gap.force[mask])) / max(frequency[1], 1e-12), 1e-30)
-        shares.append(min(1.0, float(power[near].sum()) / whole))
+        shares.append(min(1.0, float(power[close].sum()) / whole))
     return float(np.mean(shares))

@@ -59,7 +59,7 @@ def missing_force(hypothesis: Hypothesis, cutoff_hz: float | None = None) -> tup
         share = motor_share(problem.axis, record)
         applied, replayed = replace(record, u=share * record.u), replace(record, q=run.q, u=share * run.u)
         (measured, measured_force), (simulated, predicted) = side_by_side(
-            lambda moved, driven, cut=cut: (motion(moved, cut), held_force(driven, gain, cut)),
+            lambda position, driven, cut=cut: (motion(position, cut), held_force(driven, gain, cut)),
             [(record, applied), (replayed, replayed)],
         )
         inertia = baseline[MASS] * (measured.a - simulated.a)
@@ -85,11 +85,11 @@ def slowest(v: np.ndarray) -> float:
 
 def near_reversals(v: np.ndarray, period: float, margin: float) -> np.ndarray:
     """Samples (n,) bool within ``margin`` [s] of a change of sign of ``v`` (n,)."""
-    near = np.zeros(v.size, bool)
+    excluded = np.zeros(v.size, bool)
     width = max(1, round(margin / period))
     for edge in np.nonzero(np.diff(np.sign(v)) != 0)[0]:
-        near[max(0, edge - width) : edge + width + 1] = True
-    return near
+        excluded[max(0, edge - width) : edge + width + 1] = True
+    return excluded
 
 
 def since_reversal(v: np.ndarray) -> np.ndarray:

@@ -136,14 +136,14 @@ def combine(reliable: Fit, beside: BesideUnknown, data: HeldOut) -> tuple[Fit, l
 
     Effects of ``reliable`` that the held-out ``data`` do not confirm together with the added ones are removed.
     """
-    own = reliable.model.without_named([name for name in beside.names if name in reliable.model.names])
-    fitted = _fitted_around(reliable.with_model(own), beside)
+    alone = reliable.model.without_named([name for name in beside.names if name in reliable.model.names])
+    fitted = _fitted_around(reliable.with_model(alone), beside)
     shares = shares_on(data, fitted)
-    gone = [share.name for share in shares if share.name in own.names and not share.is_reliable]
-    if gone:
-        fitted = _fitted_around(reliable.with_model(own.without_named(gone)), beside)
+    removed = [share.name for share in shares if share.name in alone.names and not share.is_reliable]
+    if removed:
+        fitted = _fitted_around(reliable.with_model(alone.without_named(removed)), beside)
         shares = shares_on(data, fitted)
-    return fitted, [share for share in shares if share.name in own.names]
+    return fitted, [share for share in shares if share.name in alone.names]
 
 
 def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
@@ -160,15 +160,15 @@ def _fitted_around(start: Hypothesis, beside: BesideUnknown) -> Fit:
         model = model.with_effect(theirs.effects[index], theirs.values[index])
     begins = (model, replace(model, baseline=theirs.baseline))
     free = [tuple(slot for slot in begin.slots() if slot.effect < len(start.model.effects)) for begin in begins]
-    fits = side_by_side(fit, [(start.with_model(b), "used", own) for b, own in zip(begins, free, strict=True)])
+    fits = side_by_side(fit, [(start.with_model(b), "used", slots) for b, slots in zip(begins, free, strict=True)])
     fitted = min(fits, key=lambda f: f.cost)
-    own = fitted.slots
-    moved = [(i, replace(s, effect=places[s.effect])) for i, s in enumerate(beside.fitted.slots) if s.effect in places]
-    rows = np.array([i for i, _ in moved], dtype=int)
-    covariance = np.zeros((len(own) + rows.size,) * 2)
-    covariance[: len(own), : len(own)] = fitted.covariance
-    covariance[len(own) :, len(own) :] = beside.fitted.covariance[np.ix_(rows, rows)]
-    return evaluate(fitted, (*own, *(slot for _, slot in moved)), covariance)
+    own_slots = fitted.slots
+    added = [(i, replace(s, effect=places[s.effect])) for i, s in enumerate(beside.fitted.slots) if s.effect in places]
+    rows = np.array([i for i, _ in added], dtype=int)
+    covariance = np.zeros((len(own_slots) + rows.size,) * 2)
+    covariance[: len(own_slots), : len(own_slots)] = fitted.covariance
+    covariance[len(own_slots) :, len(own_slots) :] = beside.fitted.covariance[np.ix_(rows, rows)]
+    return evaluate(fitted, (*own_slots, *(slot for _, slot in added)), covariance)
 
 
 @dataclass(frozen=True)
@@ -265,8 +265,8 @@ def validate(outcome: Outcome, progress: Progress) -> Validation:
     final = replace(
         answer, baseline=_without_controller_effect(answer.baseline), extended=with_central_instants(answer.extended)
     )
-    moved = final.baseline is not answer.baseline or final.extended is not answer.extended
-    return final.compared(data) if moved or final.held_out is None else final
+    changed = final.baseline is not answer.baseline or final.extended is not answer.extended
+    return final.compared(data) if changed or final.held_out is None else final
 
 
 def _refuted_in_free_run(start: Fit, answer: Validation) -> tuple[float, float] | None:
@@ -306,13 +306,13 @@ def _all_or_nothing(
     ``start`` is the baseline. Also returns whether the residual, or an unknown ``force``, is so large that each effect
     needs its own evidence.
     """
-    judge, floor, lost, extended = outcome.judge, outcome.floor.force, 0.0, searched
+    judge, floor, lost_share, extended = outcome.judge, outcome.floor.force, 0.0, searched
     shares: list[Share] = []
     refuted: tuple[Share, ...] = ()
     if data is not None:
         gain = start.cost - extended.cost
         extended, shares, refuted = confirm(judge, data, extended)
-        lost = 1 - (start.cost - extended.cost) / gain if refuted else 0.0
+        lost_share = 1 - (start.cost - extended.cost) / gain if refuted else 0.0
 
     # Share of the gap closed by effects of the plant; a disturbance known from the controller's law does not count.
     named = extended.model.names != start.model.names
@@ -326,7 +326,7 @@ def _all_or_nothing(
     verdict = _verdict(judge, extended, start, rivals, closed[-1], max(remaining))
     # A gap closed on the training record only is not explained; neither is one of which a good part was refuted.
     unconfirmed = named and closed[-1] < rules.MOST * min(closed[0], 1.0)  # above 1 if the residual is below the noise
-    doubtful = lost > rules.SLIGHT and not judge.at_floor(extended)
+    doubtful = lost_share > rules.SLIGHT and not judge.at_floor(extended)
     interrupted_early = outcome.interrupted and not extended.model.names
     if interrupted_early or unconfirmed or doubtful:
         verdict = "unnamed"
@@ -372,8 +372,8 @@ def _effect_by_effect(
     if tenable:
         return min(tenable, key=lambda candidate: candidate.remaining_force[1])
     given_up = answer.given_up or answer.extended.model.names
-    floor, missed = outcome.floor.force, max(force_rms(answer.baseline), answer.remaining_force[0])
-    if force is not None and explained(missed, force.remaining_force, floor) >= rules.HALF:
+    floor, unexplained = outcome.floor.force, max(force_rms(answer.baseline), answer.remaining_force[0])
+    if force is not None and explained(unexplained, force.remaining_force, floor) >= rules.HALF:
         answer = replace(answer, kind=force.kind, kind_leaves=force.remaining_force)
     return replace(answer, verdict="unnamed", equivalents=answers[-1].equivalents if answers else {}, given_up=given_up)
 
@@ -387,29 +387,29 @@ def _beside_anything(data: HeldOut | None, searched: Fit, answer: Validation) ->
         if not reliable.innovations:  # without the withdrawn effects the rest of the model cannot be simulated
             reliable = answer.baseline
         shares = [] if data is None else shares_on(data, reliable)
-        alike, baseline = equivalents_beside_unknown(outcome, reliable), robust(answer.baseline)
-        return Validation(outcome, "partly-named", baseline, reliable, alike, shares, refuted, share=answer.share)
+        equivalents, baseline = equivalents_beside_unknown(outcome, reliable), robust(answer.baseline)
+        return Validation(outcome, "partly-named", baseline, reliable, equivalents, shares, refuted, share=answer.share)
 
     if data is None:
         return [by_itself()]
     # The longest first, in this thread: an interrupt arrives here and ends the search only.
-    beside, own = side_by_side(
+    beside, alone = side_by_side(
         lambda find: find(), [(find,) for find in (partial(found_beside_state, outcome, data), by_itself)]
     )
-    return [own] if beside is None else [_combine_with(beside, own, answer.baseline, data), own]
+    return [alone] if beside is None else [_combine_with(beside, alone, answer.baseline, data), alone]
 
 
 def _combine_with(beside: BesideUnknown, answer: Validation, baseline: Fit, data: HeldOut) -> Validation:
     """``answer`` with the effects of ``beside``, which replace those of the same name."""
     both, shares = combine(answer.extended, beside, data)
-    own = [name for name in both.model.names if name not in beside.names]
+    only_alone = [name for name in both.model.names if name not in beside.names]
     return replace(
         answer,
         baseline=baseline,
         extended=both,
         kind=beside.kind,
         kind_leaves=beside.remaining_force,
-        equivalents={name: answer.equivalents.get(name, []) for name in own} | beside.equivalents,
+        equivalents={name: answer.equivalents.get(name, []) for name in only_alone} | beside.equivalents,
         shares=shares + beside.shares,
         refuted=tuple(share for share in answer.refuted if share.name not in beside.names),
     )

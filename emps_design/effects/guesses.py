@@ -29,8 +29,8 @@ def absorb(residual: np.ndarray, v: np.ndarray, a: np.ndarray, index: np.ndarray
     columns = np.column_stack([a[index], v[index], np.sign(v[index]), np.ones(index.size)])
     scale = np.linalg.norm(columns, axis=0)
     basis = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)[0]
-    kept = residual[index]
-    return kept - basis @ (basis.T @ kept), basis
+    selected = residual[index]
+    return selected - basis @ (basis.T @ selected), basis
 
 
 def squares_explained(target: np.ndarray, basis: np.ndarray, sine: np.ndarray, cosine: np.ndarray) -> np.ndarray:
@@ -140,12 +140,12 @@ def pulses(residual: np.ndarray, t: np.ndarray, period: float) -> list[dict[str,
         heights = [float(smooth[a:b].mean()) for a, b in runs]
         tallest = max(range(len(runs)), key=lambda i: abs(heights[i]) * (runs[i][1] - runs[i][0]))
         duration = (runs[tallest][1] - runs[tallest][0]) * period
-        alike = [
+        same = [
             i
             for i, (a, b) in enumerate(runs)
             if abs(heights[i]) > 0.5 * abs(heights[tallest]) and 0.5 < (b - a) * period / duration < 2
         ]
-        begins = [float(t[runs[i][0]]) for i in alike]
+        begins = [float(t[runs[i][0]]) for i in same]
         gaps = np.diff(begins)
         pulse = {"amplitude": heights[tallest], "start": begins[0], "duration": duration}
         # If some pulses are not found, the shortest interval between two is the period.

@@ -57,8 +57,8 @@ class Estimator(AxisTable):
     def _complete(self) -> Estimator:
         for kind, name in NUMBERS.items():
             if (getattr(self, name) is None) == (self.kind == kind):
-                wanted = f"a number: {kind} has {name}" if self.kind == kind else f"no {name} of {self.kind}"
-                raise ValueError(f"{name}: found {getattr(self, name)}, expected {wanted}")
+                expected = f"a number: {kind} has {name}" if self.kind == kind else f"no {name} of {self.kind}"
+                raise ValueError(f"{name}: found {getattr(self, name)}, expected {expected}")
         return self
 
     @property

@@ -179,13 +179,13 @@ def linear_law(law: Law, period: float, direction: float = 1.0, signals: dict[in
     law.kernel(0, 0.0, Linear(0.0, 0.0, {"q": 1.0}), 0.0, np.inf, _gain_list(law.gains), start)
     inputs = (*INPUTS, *(signals or {}).values())
     names = (*range(memory), *inputs)
-    moved = _dense([_linear(cell) for cell in start], ("q",))[..., 0]
+    by_position = _dense([_linear(cell) for cell in start], ("q",))[..., 0]
     pasts = itertools.islice(_slide(law, period, direction), law.cycle)
     runs = [_run(law, period, direction, k, past, signals) for k, past in pasts]
     tables = [_dense([*cells, u], names) for u, cells in runs]
     rows = tables[0] if law.cycle == 1 else np.stack(np.broadcast_arrays(*tables))
     A, B = rows[..., :-1, :memory], rows[..., :-1, memory:]
-    return LinearLaw(A, B, rows[..., -1, :memory], rows[..., -1, memory:], moved, inputs, law.cycle)
+    return LinearLaw(A, B, rows[..., -1, :memory], rows[..., -1, memory:], by_position, inputs, law.cycle)
 
 
 def own_poles(law: Law, period: float) -> np.ndarray:

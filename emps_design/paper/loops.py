@@ -452,14 +452,14 @@ def _closed_steps(law: sp.Expr) -> list[DerivationStep]:
     exact = {y.M_h: y.M, y.F_vh: y.F_v, y.F_ch: y.F_c}
     rests_on = (IDEAL, "no filters, continuous time")
     steps = []
-    for title, tried, rests, words in (
+    for title, damping_title, rests, words in (
         ("Felt with the law as derived", law, rests_on, "The target and the errors of the estimates."),
         ("Felt with the law as derived, estimates exact", law.subs(exact), (*rests_on, "exact estimates"),
          "Exactly the target."),
         ("Felt with (30) as printed, estimates exact", printed_law().subs(exact), (*rests_on, "exact estimates"),
          "More mass, more damping, and remaining dry friction."),
     ):  # fmt: skip
-        felt = felt_under(tried)
+        felt = felt_under(damping_title)
         coefficients = tuple(sp.factor(value) for value in felt.values())
         shown = Sum(tuple(pair for pair in zip(coefficients, (y.qdd, y.qd, y.S), strict=True) if pair[0] != 0))
         target = (y.M_a, y.B, sp.Integer(0))

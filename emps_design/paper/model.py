@@ -223,7 +223,7 @@ def _friction() -> list[DerivationStep]:
     v = sp.Symbol("v", positive=True)
     moving = stribeck.rhs.subs(y.S, 1).subs(y.qd, v)
     at_rest = sp.limit(moving.subs(y.delta_s, 1), v, 0)
-    far = sp.limit(moving.subs(y.delta_s, 1) - (y.F_v * v + y.F_c), v, sp.oo)
+    asymptote = sp.limit(moving.subs(y.delta_s, 1) - (y.F_v * v + y.F_c), v, sp.oo)
     below = TABLES["table_1"]["coulomb_positive"][0] > BREAK_AWAY
     printed = Equation(y.F_s, sp.Float(BREAK_AWAY, 2))
     identified = sp.Float(TABLES["table_1"]["coulomb_positive"][0], 6)
@@ -235,7 +235,7 @@ def _friction() -> list[DerivationStep]:
         compared(
             "Break-away", "4", stribeck,
             "A model, not a derivation: it is F_s at rest and tends to (3).", ("F_s > F_c", "1 <= delta_s <= 2"),
-            (("F_fs tends to F_s at rest", at_rest == y.F_s), ("F_fs - F_fc tends to 0 at high speed", far == 0)),
+            (("F_fs tends to F_s at rest", at_rest == y.F_s), ("F_fs - F_fc tends to 0 at high speed", asymptote == 0)),
         ),
         DerivationStep(
             "Break-away force of section III-A", "", Equation(sp.Symbol(r"F_c^+"), identified),
@@ -416,9 +416,9 @@ def _observation() -> list[DerivationStep]:
 
     observed, back = solved(y.tau_e2, y.W_2, y.X_2, y.tau_m2)
     cross, cross_back = solved(y.tau_e2h, y.W_2, y.X_1m, y.tau_m2)
-    own, own_back = solved(y.tau_evh, y.W, y.X_hat, y.tau_mv)
+    square, own_back = solved(y.tau_evh, y.W, y.X_hat, y.tau_mv)
     error = sp.expand(y.Y - y.W * y.X_hat)
-    observer_error = sp.expand((y.Y - y.tau_mv) - own.rhs)
+    observer_error = sp.expand((y.Y - y.tau_mv) - square.rhs)
     return [
         compared(
             "External force from the model", "18", observed,
@@ -442,7 +442,7 @@ def _observation() -> list[DerivationStep]:
             "e_i is the residual of least squares.", ("the sensor reads the force on the carriage",),
         ),
         compared(
-            "Its observed force", "23", own, "(21) and (22): the measured minus the observed force is e_i.",
+            "Its observed force", "23", square, "(21) and (22): the measured minus the observed force is e_i.",
             ("the sensor reads the force on the carriage",),
             (own_back, ("tau_e minus the observed force is e_i", sp.expand(observer_error - error) == 0)),
         ),

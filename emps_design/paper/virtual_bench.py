@@ -333,8 +333,8 @@ def break_away_test(axis: Axis, direction: float, rate: float = 0.5) -> float:
     period, gain = axis.sampling.period, axis.drive.force_gain
     u = direction * rate / gain * np.arange(int(60.0 / period)) * period
     run = Plant.of(axis).open_loop(u)
-    moved = np.flatnonzero(np.abs(run.position - run.position[0]) > 2e-6)
-    return float(gain * abs(u[moved[0]]))
+    moving = np.flatnonzero(np.abs(run.position - run.position[0]) > 2e-6)
+    return float(gain * abs(u[moving[0]]))
 
 
 def _machine(
@@ -403,14 +403,14 @@ class SectionThree(Viewed):
         record = self.bench.comanipulation[index]
         filtered, W, motor, sensor = _filtered_regression(record, self.bench)
         mean = self.identification.values.mean(axis=0)
-        own = self.direct[index].values()
+        values = self.direct[index].values()
         return {
             "t": filtered.t,
             "sensor": sensor,
             "cross": W @ mean - motor,
-            "direct": W @ own - motor,
+            "direct": W @ values - motor,
             "motor": motor,
-            "model": W @ own,
+            "model": W @ values,
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -440,8 +440,8 @@ class SectionThree(Viewed):
         """Tables I and II and the errors, beside those printed."""
         headings = ("parameter", "value", "2 sigma", "% sigma", "printed", "2 sigma", "% sigma")
         tables = [
-            Table(headings, [(name.replace("_", " "), *row, *PRINTED[key][name]) for name, row in own.items()], title)
-            for key, title, own in (("table_1", "Table I", self.table_1), ("table_2", "Table II", self.table_2))
+            Table(headings, [(name.replace("_", " "), *row, *PRINTED[key][name]) for name, row in found.items()], title)
+            for key, title, found in (("table_1", "Table I", self.table_1), ("table_2", "Table II", self.table_2))
         ]
         rows = [
             (title, f"{errors.min():.2f} to {errors.max():.2f}", "{:g} to {:g}".format(*PRINTED[key]))
@@ -467,14 +467,14 @@ def reproduce_section_3(
     """
     bench = virtual_bench(seed, bench_numbers, progress)
     # The paper uses G_tau alone, and the current loop is a gain.
-    plain = bench.axis.replace(effects=[], drive={"current_time_constant": 0.0})
-    several = identify_several(bench.identification, plain, model=MODEL, filter="paper")
+    ideal = bench.axis.replace(effects=[], drive={"current_time_constant": 0.0})
+    several = identify_several(bench.identification, ideal, model=MODEL, filter="paper")
     mean = several.values.mean(axis=0)
     cross, direct = [], []
     for record in bench.comanipulation:
         _, W, motor, sensor = _filtered_regression(record, bench)
         cross.append(float(np.sqrt(np.mean((W @ mean - motor - sensor) ** 2))))
-        direct.append(direct_validation(record, plain, model=MODEL, filter="paper"))
+        direct.append(direct_validation(record, ideal, model=MODEL, filter="paper"))
     return SectionThree(
         bench=bench,
         identification=several,

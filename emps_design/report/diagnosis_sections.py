@@ -162,10 +162,10 @@ def candidates_figure(candidates: Sequence[Mapping[str, Any]], gap: Mapping[str,
     """Draw the force error of each of the best twelve candidates, or their statistics if none was fitted."""
     fitted = [c for c in candidates if c.get("gap") is not None]
     if not fitted:
-        tried = [c for c in candidates if c.get("statistic") is not None][:12]
-        threshold = max((c["threshold"] for c in tried if c.get("threshold") is not None), default=None)
+        leading = [c for c in candidates if c.get("statistic") is not None][:12]
+        threshold = max((c["threshold"] for c in leading if c.get("threshold") is not None), default=None)
         lines = [(threshold, RED, "--", "threshold")]
-        return _bars(tried, [c["statistic"] for c in tried], "statistic of the first estimate", "", None, lines)
+        return _bars(leading, [c["statistic"] for c in leading], "statistic of the first estimate", "", None, lines)
     shown, baseline = fitted[:12], (gap.get("train") or {}).get("baseline")
     limit = 1.5 * max([baseline or 0.0, *(c["gap"] for c in shown if c.get("accepted"))]) or None
     lines = [(baseline, RED, "--", "original model"), (gap.get("floor"), GREY, ":", "noise floor")]

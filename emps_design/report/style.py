@@ -256,8 +256,8 @@ def labelled(figure: Figure, units: Units) -> Figure:
             _rescale(axis, units)
     for text in figure.findobj(Text):
         written = text.get_text()
-        if (own := units.label(written)) != written:
-            text.set_text(own)
+        if (label := units.label(written)) != written:
+            text.set_text(label)
     return figure
 
 
@@ -308,9 +308,9 @@ def _laid_out(figure: Figure) -> Figure:
 
     if (engine := figure.get_layout_engine()) is not None:
         FigureCanvasSVG(figure)
-        own, figure.dpi = figure.dpi, POINTS
+        dpi, figure.dpi = figure.dpi, POINTS
         engine.execute(figure)
-        figure.dpi = own
+        figure.dpi = dpi
         figure.set_layout_engine(None)
     return figure
 

@@ -202,8 +202,8 @@ def force_loop_figure(design: ForceLoopDesign) -> Figure:
     period = design.velocity_loop.axis.sampling.period
     loop = design.response(np.geomspace(0.5, np.pi / period * (1 - 1e-9), 500))
     curve = Curve(loop.real, loop.imag, color=RED)
-    left = open_loop_plane((curve,), (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
-    return drawn(Grid(((left, z_plane(np.asarray(design.poles), "closed-loop poles, z plane")),), 4.0))
+    nyquist = open_loop_plane((curve,), (-2.2, 1.4), (-2.6, 1.0), "force loop, sampled")
+    return drawn(Grid(((nyquist, z_plane(np.asarray(design.poles), "closed-loop poles, z plane")),), 4.0))
 
 
 def force_section(force: ForceLoopDesign) -> Section:

@@ -202,13 +202,13 @@ def simulate_ensemble(
         q_ref = record.q_ref
     if q_ref is None:
         raise InputError("ensemble: found neither q_ref nor record, expected one of them")
-    wanted = np.ascontiguousarray(q_ref, dtype=float)
-    if record is not None and len(record) != wanted.size:
-        raise InputError(f"ensemble: q_ref has {wanted.size} samples, the record {len(record)}; expected the same")
+    reference = np.ascontiguousarray(q_ref, dtype=float)
+    if record is not None and len(record) != reference.size:
+        raise InputError(f"ensemble: q_ref has {reference.size} samples, the record {len(record)}; expected the same")
     law_of(axis, axis.sampling.period)  # raises for an axis without a controller before any task starts
     course = Course(
         axis,
-        wanted,
+        reference,
         None if record is None else (np.ascontiguousarray(record.q), np.ascontiguousarray(record.u)),
         None if disturbance is None else np.ascontiguousarray(disturbance, dtype=float),
         quantise,
@@ -264,8 +264,8 @@ class Course:
     def fits_lanes(self) -> bool:
         """Whether lanes can run it: the friction plant without lag or delay, under a state feedback."""
         axis = self.axis
-        plain = not axis.effects and axis.drive.current_time_constant == 0 and axis.sampling.computation_delay == 0
-        return plain and law_of(axis, axis.sampling.period).state_feedback
+        ideal = not axis.effects and axis.drive.current_time_constant == 0 and axis.sampling.computation_delay == 0
+        return ideal and law_of(axis, axis.sampling.period).state_feedback
 
     def part(self, start: int, plants: Plants) -> tuple[int, np.ndarray, dict[int, str]]:
         """``start``, metrics (m, k) of ``plants``, and reasons of failures by number; the first plant is ``start``."""

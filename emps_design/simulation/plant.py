@@ -318,7 +318,7 @@ class Plant:
         else:
             rows = self._core(inputs, method, events, tally)
         encoder, position, velocity, u, outside = rows
-        kept = min(int(tally[0]), n + 1000)
+        count = min(int(tally[0]), n + 1000)
         return Run(
             q_ref=q_ref,
             q=encoder,
@@ -326,10 +326,10 @@ class Plant:
             v=velocity,
             u=u,
             f_ext=outside,
-            events=events[:kept].copy(),
+            events=events[:count].copy(),
             force_gain=motor[:, 0] if motor.size else self.axis.drive.gain,
             period=inputs.period,
-            lost_events=int(tally[0]) - kept,
+            lost_events=int(tally[0]) - count,
             energy=balance,
             name=self.axis.name,
             units=self.axis.units,

@@ -231,10 +231,10 @@ class Run(Viewed):
             return first
         signals: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in STORED}
         gain = np.concatenate([np.broadcast_to(run.force_gain, len(run)) for run in runs])
-        events, lost = np.concatenate([run.events for run in runs]), sum(run.lost_events for run in runs)
+        events, lost_events = np.concatenate([run.events for run in runs]), sum(run.lost_events for run in runs)
         starts = first.period * np.cumsum([0, *map(len, runs)][:-1])
         events[:, 0] += np.repeat(starts, [len(run.events) for run in runs])
-        return replace(first, **signals, events=events, force_gain=gain, lost_events=lost, energy=None)
+        return replace(first, **signals, events=events, force_gain=gain, lost_events=lost_events, energy=None)
 
     @property
     def signals(self) -> dict[str, np.ndarray]:

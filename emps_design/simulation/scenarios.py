@@ -353,11 +353,11 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
     for side in (1.0, -1.0):
         push = force_ramp(axis.sampling.period, rate, side * peak, units)
         run = plant.open_loop(np.zeros(push.size), disturbance=push, q0=q0, quantise=False)
-        moved = side * (run.position - q0)
-        at = _break_away_sample(run, moved)
+        displacement = side * (run.position - q0)
+        at = _break_away_sample(run, displacement)
         limits.append(None if at is None else float(push[min(at, push.size - 1)]))
         if at is None:
-            warnings.append(_no_break_away(float(moved.max()), side * peak, units))
+            warnings.append(_no_break_away(float(displacement.max()), side * peak, units))
         runs.append(run)
     step = rate * axis.sampling.period
     if any(limit is not None and abs(limit) <= step for limit in limits):
@@ -375,9 +375,9 @@ def breakaway(axis: Axis, rate: float = 1.0, peak: float | None = None, q0: floa
     return Breakaway(axis, rate, peak, limits[0], limits[1], runs[0], tuple(warnings))
 
 
-def _break_away_sample(run: Run, moved: np.ndarray) -> int | None:
-    """Return the sample of break-away of a carriage that ``moved`` (n,) [m] along the push; None if there is none."""
-    away = np.flatnonzero(moved > MOVED)
+def _break_away_sample(run: Run, displacement: np.ndarray) -> int | None:
+    """Return the sample of break-away from the ``displacement`` (n,) [m] along the push; None if there is none."""
+    away = np.flatnonzero(displacement > MOVED)
     until = run.t[away[0]] if away.size else np.inf
     events = [(time, EVENTS[int(kind)]) for time, kind, _ in run.events if time <= until]
     events = [event for event in events if event[1] in ("reversal", "stick", "break-away")]

@@ -131,8 +131,8 @@ class Filter(AxisTable):
     def _complete(self):
         for name in ("damping", "depth"):
             if (getattr(self, name) is None) == (self.kind == "notch"):
-                wanted = f"a number: a notch has {name}" if self.kind == "notch" else f"no {name} of a low-pass"
-                raise ValueError(f"{name}: found {getattr(self, name)}, expected {wanted}")
+                expected = f"a number: a notch has {name}" if self.kind == "notch" else f"no {name} of a low-pass"
+                raise ValueError(f"{name}: found {getattr(self, name)}, expected {expected}")
         return self
 
 
@@ -213,7 +213,7 @@ def _terms(*terms):
 def equations(p, axis, period):
     g, limit = gains(p, axis, period), f"{axis.drive.command_limit:.10g}"
     lines, follows_velocity = [velocity_in_words(p, period)], p.position is None
-    wanted, direction = "0", "vr[k]"
+    reference, direction = "0", "vr[k]"
     if follows_velocity:
         lines += ["vr[k] = v_ref[k]", f"ar[k] = (v_ref[k] - v_ref[k-1]) / {period:.10g}"]
     else:
@@ -226,15 +226,15 @@ def equations(p, axis, period):
         every = f"if k % {p.position.every} == 0: " if p.position.every > 1 else ""
         lines.append(f"{every}vc[k] = {g[POSITION]:.10g} * (q_ref[k] - q[k])")
         lines += ["else: vc[k] = vc[k-1]"] if every else []
-        wanted = "vc[k]"
-    command_term = [(1.0, wanted)] if wanted != "0" else []
+        reference = "vc[k]"
+    command_term = [(1.0, reference)] if reference != "0" else []
     lines.append(f"e[k] = {_terms(*command_term, (g[SHARE], 'vr[k]'))} - v[k]")
     if p.velocity.ti:
         lines.append(f"j[k] = i[k-1] + {g[INTEGRAL]:.10g} * e[k]")
-    own = (-g[PROPORTIONAL], "v[k]") if g[IP] else (g[PROPORTIONAL], "e[k]")
+    proportional = (-g[PROPORTIONAL], "v[k]") if g[IP] else (g[PROPORTIONAL], "e[k]")
     integral = [(1.0, "j[k]")] if p.velocity.ti else []
     ahead = (g[ACCELERATION], "ar[k]"), (g[COULOMB], f"sign({direction})")
-    lines.append(f"w0[k] = {_terms(own, *integral, *ahead)}")
+    lines.append(f"w0[k] = {_terms(proportional, *integral, *ahead)}")
     for i, stage in enumerate(p.filters):
         b0, b1, b2, a1, a2 = coefficients(stage, period)
         terms = (b0, f"w{i}[k]"), (b1, f"w{i}[k-1]"), (b2, f"w{i}[k-2]")

@@ -83,10 +83,10 @@ def impedance(k, reference, q, f_ext, limit, gains, memory):
     if gains[FORCE_SENSOR] > 0.0:
         tau_e = f_ext
     else:
-        kept = gains[KEEP_ACCELERATION]
-        memory[SLOW_ACCELERATION] = kept * memory[SLOW_ACCELERATION] + (1.0 - kept) * a
-        kept = gains[KEEP_CURRENT]
-        memory[SLOW_MOTOR] = kept * memory[SLOW_MOTOR] + (1.0 - kept) * memory[MOTOR]
+        factor = gains[KEEP_ACCELERATION]
+        memory[SLOW_ACCELERATION] = factor * memory[SLOW_ACCELERATION] + (1.0 - factor) * a
+        factor = gains[KEEP_CURRENT]
+        memory[SLOW_MOTOR] = factor * memory[SLOW_MOTOR] + (1.0 - factor) * memory[MOTOR]
         tau_e = observed_force(
             gains[MASS], viscous, coulomb, gains[CURRENT_FACTOR], memory[SLOW_ACCELERATION], v, memory[SLOW_MOTOR]
         )
@@ -187,9 +187,9 @@ def gains(p, axis, period):
 def equations(p, axis, period):
     g = gains(p, axis, period)
     delay, keep = axis.sampling.computation_delay, g[KEEP_MOTOR]
-    limit, own = f"{axis.drive.command_limit:.10g}", p.velocity_estimator
+    limit, kind = f"{axis.drive.command_limit:.10g}", p.velocity_estimator
     changes = {TWO_TAP: "q[k] - q[k-1] - q[k-2] + q[k-3]", BACKWARD: "q[k] - 2 * q[k-1] + q[k-2]"}
-    change = f"({changes[own]}) / {(2.0 if own == TWO_TAP else 1.0) * period**2:.10g}" if own in changes else ""
+    change = f"({changes[kind]}) / {(2.0 if kind == TWO_TAP else 1.0) * period**2:.10g}" if kind in changes else ""
     lines = (
         velocity_in_words(p, period),
         f"a[k] = {change or f'(v[k] - v[k-1]) / {period:.10g}'}",

@@ -53,8 +53,8 @@ class Table(LawTable):
 
 def gains_of(k_v1, t_v, k_e1, period, velocity_estimator=TWO_TAP):
     """Gains of the kernel; numbers or arrays (m,) for as many laws."""
-    own = taps(velocity_estimator), *coefficients(velocity_estimator, period)
-    return k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, *own
+    constants = taps(velocity_estimator), *coefficients(velocity_estimator, period)
+    return k_v1, k_v1 * period / t_v, k_e1, 1.0 / period, *constants
 
 
 def gains(p, axis, period):

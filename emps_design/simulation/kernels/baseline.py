@@ -202,7 +202,7 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
             older[i] = last[i]
             tracked[i], missed[i], voltage[i], peak[i], rest[i] = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(reference.size):
-            wanted, pushes, events = reference[k], push[k] if pushed else 0.0, 0
+            setpoint, pushes, events = reference[k], push[k] if pushed else 0.0, 0
             counts = 1.0 if k >= first else 0.0
             real_q = measured_q[k] if compared else 0.0
             real_u = measured_u[k] if compared else 0.0
@@ -214,10 +214,10 @@ def run_lanes(baselines, numbers, start, reference, push, measured_q, measured_u
                     measured[i] = q[i]
             for i in range(LANES):
                 before = two_tap * older[i] + (1.0 - two_tap) * last[i]
-                volts = proportional * (wanted - measured[i]) - damping * (measured[i] - before)
+                volts = proportional * (setpoint - measured[i]) - damping * (measured[i] - before)
                 older[i] = last[i]
                 last[i] = measured[i]
-                tracked[i] += counts * (wanted - q[i]) * (wanted - q[i])
+                tracked[i] += counts * (setpoint - q[i]) * (setpoint - q[i])
                 missed[i] += counts * (real_q - measured[i]) * (real_q - measured[i])
                 voltage[i] += counts * (real_u - volts) * (real_u - volts)
                 peak[i] = max(peak[i], abs(volts))

@@ -76,14 +76,14 @@ def _compile(function: Callable[..., Any], signature: Any) -> Any:
 
 def _with_compiled_neighbours(function: Callable[..., Any]) -> Callable[..., Any]:
     """``function`` with the plain functions of its own file that it calls compiled as well."""
-    own = {
+    neighbours = {
         name: function.__globals__[name]
         for name in function.__code__.co_names
         if isinstance(function.__globals__.get(name), FunctionType)
     }
-    if not own:
+    if not neighbours:
         return function
-    compiled = {name: njit(**_OPTIONS)(_with_compiled_neighbours(plain)) for name, plain in own.items()}
+    compiled = {name: njit(**_OPTIONS)(_with_compiled_neighbours(value)) for name, value in neighbours.items()}
     linked = FunctionType(
         function.__code__,
         {**function.__globals__, **compiled},

@@ -278,7 +278,7 @@ def run(
     touched, weighs = starts[TOUCH + 1] > starts[TOUCH], starts[TOUCH_MASS + 1] > starts[TOUCH_MASS]
     holds, senses = starts[HELD + 1] > starts[HELD], starts[SENSOR + 1] > starts[SENSOR]
     commands, waits = starts[COMMAND + 1] > starts[COMMAND], int(settings[DELAYED])
-    weighed = starts[INERTIA + 1] > starts[INERTIA]
+    variable_mass = starts[INERTIA + 1] > starts[INERTIA]
     bounds[0], bounds[1] = -np.inf, np.inf
     error_alone = settings[ERROR_ALONE] > 0.0
     slides, steady = settings[SLIDES] > 0.0, settings[SLIDES] > 1.0
@@ -324,7 +324,7 @@ def run(
         force = push[k] if push.size else 0.0
         if holds:
             force -= total(HELD, y_, t, tau, plant)
-        if weighed or k == 0:
+        if variable_mass or k == 0:
             mobility = balance(y_, t, tau, force, s, plant)[2]
             if not 0.0 < mobility < np.inf:
                 return MASSLESS, k, 0.0
@@ -339,13 +339,13 @@ def run(
                 felt -= k1[1] * total(TOUCH_MASS, y_, t, tau, plant)
         outside[k] = felt
         if law != 0:
-            feedback, wanted = measured, reference[k]
+            feedback, setpoint = measured, reference[k]
             if error_alone:
-                feedback, wanted = measured - wanted, 0.0
+                feedback, setpoint = measured - setpoint, 0.0
             waiting, integral = int(settings[WAITS]), 0.0
             if waiting > 0:
                 integral = memory_[waiting - 1]
-            volts = call_law(law, k, wanted, feedback, felt, limit, shifted(gains_, k * stride), memory_)
+            volts = call_law(law, k, setpoint, feedback, felt, limit, shifted(gains_, k * stride), memory_)
         else:
             volts = reference[k]
         if commands:
@@ -417,13 +417,13 @@ def run(
                     y[i] = new[i]
                 reached, fresh, start = tau + drive[0], False, end
                 continue
-            way = s if not free else 1.0 if y[1] > 0.0 else -1.0
-            if slides and way * y[1] > 0.0 and bounds[1] == np.inf:
+            direction = s if not free else 1.0 if y[1] > 0.0 else -1.0
+            if slides and direction * y[1] > 0.0 and bounds[1] == np.inf:
                 if fresh and steady:
                     k1[1] += (tau + (drive[0] + drive[5]) + (force - before_force)) * k2[1]
                 else:
-                    fresh = begin(y_, t + start, tau, force, way, steady, plant, work)
-                fresh = fresh and slide(y_, t + start, h, tau, force, way, feel, plant, work, new)
+                    fresh = begin(y_, t + start, tau, force, direction, steady, plant, work)
+                fresh = fresh and slide(y_, t + start, h, tau, force, direction, feel, plant, work, new)
                 if fresh:
                     y[0], y[1] = new[0], new[1]
                     for i in range(2, size):

@@ -77,12 +77,12 @@ def others_at(y, t, tau, s, plant):
 @fused
 def learn(more, h, others):
     """Update the extrapolation ``others`` with the force ``more`` [N] measured ``h`` later."""
-    missed = more - (others[1] + h * (others[2] + 0.5 * h * others[3]))
+    error = more - (others[1] + h * (others[2] + 0.5 * h * others[3]))
     if others[0] < _KNOWN:
-        others[0], others[2] = others[0] + 1.0, missed / h
+        others[0], others[2] = others[0] + 1.0, error / h
     else:
-        others[3] += missed / (h * h)
-        others[2] += 0.5 * missed / h + h * others[3]
+        others[3] += error / (h * h)
+        others[2] += 0.5 * error / h + h * others[3]
     others[1] = more
 
 
@@ -257,11 +257,11 @@ def flow(y, t, h, tau, push, s, plant, work, solutions, others, new):
             stage[i] = new[i]
     if forced:
         more = others_at(new, t + h, tau, s, plant)
-        missed = more - (force - tau - push)
-        if abs(missed) * settings[MOBILITY] * h > _MISSED * settings[TOLERANCE]:
+        error = more - (force - tau - push)
+        if abs(error) * settings[MOBILITY] * h > _MISSED * settings[TOLERANCE]:
             return False
         for i in range(n):
-            new[i] += missed * answer[i]
+            new[i] += error * answer[i]
         if not s * new[1] > 0.0 or (twist > 0 and not lower <= new[twist] <= upper):
             return False
         learn(more, h, others)
