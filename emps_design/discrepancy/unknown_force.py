@@ -242,7 +242,7 @@ KINDS: tuple[tuple[tuple[Kind, ...], ...], ...] = (
     (_by_degree("an inertia that varies along the travel", inertia),),
     (
         _by_degree("viscous friction that varies along the travel", damping),
-        _by_degree("viscous friction that varies along the travel, in each direction by itself", damping_each_way),
+        _by_degree("viscous friction that varies along the travel, separately for each direction", damping_each_way),
     ),
     ((Kind("friction that depends on the past motion", memory),),),
 )

@@ -42,7 +42,7 @@ MODEL = sp.Eq(y.tau_m + y.tau_e, y.M_h * y.qdd + y.F_vh * y.qd + y.F_ch * y.S)
 TARGET = sp.Eq(y.tau_e, y.M_a * y.qdd + y.B * MOVED + y.K * AWAY)
 
 ONE_QUADRANT = "friction alike in both directions"
-BELIEVED = "the plant is what the estimates say"
+BELIEVED = "the plant parameters equal the estimates"
 AT_REST = "K = 0 and qd_0 = 0"
 IDEAL = "ideal current loop: tau_m = G_tau_i I_m"
 

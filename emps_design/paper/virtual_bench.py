@@ -161,10 +161,10 @@ def bend_of(velocity: np.ndarray, bench_numbers: Mapping[str, float] | None = No
     return np.array([bent_friction(0.0, v, 0.0, 0.0, none, p, none) for v in velocity])
 
 
-# As the package's nonlinear viscous friction, but with an amount for each direction, as Tables I and II ask for.
+# Like nonlinear_viscous_friction, but with one amplitude for each direction, as in Tables I and II.
 _BEND = Effect(
     name="bent_friction",
-    label="Friction that bends",
+    label="Curved friction characteristic",
     equation=r"\tau = F^{\pm} \mathrm{sign}(\dot q) (|\dot q| / 0.1)^n",
     source="nonlinear viscous friction of each direction, chosen",
     parameters=(

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from emps_design.control.verdict import DesignVerdict
 
 ASSUMPTIONS = (
-    "The axis is rigid unless its file lists an effect that says otherwise; Coulomb friction drops out of the linear "
+    "The axis is rigid unless its file lists an elastic effect; Coulomb friction drops out of the linear "
     "loop because it is constant in motion.",
     "The {force} gain G_tau is known: an error of it scales every mechanical parameter and cannot be seen in a record "
     "without a known payload.",

@@ -107,7 +107,7 @@ def reason_of(status: int, units: Units) -> str:
     """The reason why a run ended with ``status``, in the units of its axis."""
     place, speed = (units.quantity(units.farthest, unit) for unit in ("m", "m/s"))
     return {
-        DIVERGED: f"the motion left every bound ({place}, {speed}) or became not a number",
+        DIVERGED: f"the motion is unbounded (beyond {place} or {speed}, or not a number)",
         NO_STEP: "no step is short enough for the tolerance",
         CHATTER: "more than 2000 events in one sampling period",
         MASSLESS: f"the effects leave no {units.word('mass')} on the encoder's side",
