@@ -63,9 +63,9 @@ def test_a_law_is_safe_where_it_alone_explains_the_record(more, level):
 def test_an_identification_with_a_warning_names_diagnose(value):
     document = {"record": "r.npz", "axis": "a", "parameters": {"mass": {"value": value}}, "warnings": []}
     assert advise("identify", document).level == ("safe" if value else "caution")
-    said = advise("identify", {**document, "warnings": [warning("left", "38 % of the force is left")]})
-    assert (said.level, said.text) == ("caution", "38 % of the force is left")
-    assert said.next == "emps-design diagnose r.npz --axis a"
+    answer = advise("identify", {**document, "warnings": [warning("left", "38 % of the force is left")]})
+    assert (answer.level, answer.text) == ("caution", "38 % of the force is left")
+    assert answer.next == "emps-design diagnose r.npz --axis a"
 
 
 def test_the_most_severe_message_is_the_advice_whatever_comes_before_it():

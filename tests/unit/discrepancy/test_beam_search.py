@@ -226,17 +226,17 @@ def test_two_effects_are_found_of_which_neither_is_accepted_alone(monkeypatch):
     baseline = fit(noisy)
     delayed = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.6e-3]]))))
     both = fit(delayed.with_model(delayed.model.with_effect(SPRING, np.array([[300.0, 0.05]]))))
-    begun = []
+    started = []
 
     def played(search, beam, *rest):
-        begun.append([member.model.names for member in beam])
+        started.append([member.model.names for member in beam])
         return Proposal([both])
 
     monkeypatch.setattr(beam_search, "_round", played)
     judged = {"accept": lambda better, worse: better is not delayed, "structure": lambda fitted: fitted is baseline}
     found = walk(search_at(baseline, tried=(delayed,), **judged), (PAIR,), no_progress)
     assert found.best.model.names == ("actuator_delay", "elastic_force")
-    assert begun == [[("actuator_delay",)]]
+    assert started == [[("actuator_delay",)]]
     assert frozenset(both.model.names) in found.tried
     assert not PAIR.applies(search_at(baseline, delayed, **judged))
 
@@ -245,10 +245,10 @@ def test_what_is_far_behind_is_looked_for_where_structure_is_left_among_what_was
     baseline = fit(hypothesis(BASELINE, {"kind": "elastic_force", "stiffness": 300.0, "rest_position": 0.05}))
     delayed = fit(baseline.with_model(BASELINE.with_effect(DELAY, np.array([[1.6e-3]]))))
     sprung = fit(baseline.with_model(BASELINE.with_effect(SPRING, np.array([[250.0, 0.0]]))))
-    asked = []
+    calls = []
 
     def played(search, beam, library, progress, rival):
-        asked.append(([effect.name for effect in library], rival))
+        calls.append(([effect.name for effect in library], rival))
         return Proposal([sprung])
 
     monkeypatch.setattr(beam_search, "_round", played)
@@ -256,7 +256,7 @@ def test_what_is_far_behind_is_looked_for_where_structure_is_left_among_what_was
     library = (DELAY, LAG, SPRING, get_effect("force_map"))
     found = walk(search_at(baseline, tried=(delayed,), library=library, **judged), (FAR_BEHIND,), no_progress)
     assert found.best.model.names == ("elastic_force",)
-    assert asked == [(["actuator_lag", "elastic_force"], rules.MINOR)]
+    assert calls == [(["actuator_lag", "elastic_force"], rules.MINOR)]
     assert frozenset(sprung.model.names) in found.tried
     assert not FAR_BEHIND.applies(search_at(baseline, sprung, **judged))
 
@@ -480,17 +480,17 @@ def test_a_search_goes_on_from_one_set_to_another_twice_only_if_it_leaves_less()
 def test_a_move_that_led_nowhere_is_tried_again_only_from_another_model():
     first = evaluate(hypothesis(BASELINE))
     lagging = evaluate(first.with_model(BASELINE.with_effect(LAG, np.array([[1e-4]]))))
-    asked = []
+    calls = []
 
     def nothing(search, progress):
-        asked.append(search.best.model.names)
+        calls.append(search.best.model.names)
         return Proposal([])
 
     vain = Move("vain", lambda search: True, nothing, lambda search, fits: [])
     add = Move("add", lambda search: not search.count, lambda *_: Proposal([lagging]), lambda search, fits: list(fits))
     search = walk(search_at(first), (vain, add), no_progress)
     assert search.best is lagging
-    assert asked == [(), ("actuator_lag",)]
+    assert calls == [(), ("actuator_lag",)]
     assert walk(search, (vain, add), no_progress) is search
 
 

@@ -84,12 +84,12 @@ def test_what_stands_is_fitted_from_the_baseline_that_was_found_beside_the_state
     numbers = Candidate(AXIS.mechanics.array()).with_effect(weight, weight.values({"change": 0.08, "time": AT}))
     found = fit(beside_state(Hypothesis(problem(WEIGHT), numbers)), "used")
     # What a model leaves behind of which everything was withdrawn: no friction, and twice the mass.
-    stands = evaluate(Hypothesis(problem(WEIGHT), Candidate(AXIS.mechanics.array() * [2.0, 0.0, 0.0, 1.0])))
-    best = fit(stands.with_model(found.model), "used")
-    around = _fitted_around(stands, BesideUnknown(found, [Share("mass_change", 1.0, 0.01, 1.0, exercised=True)], {}))
+    reliable = evaluate(Hypothesis(problem(WEIGHT), Candidate(AXIS.mechanics.array() * [2.0, 0.0, 0.0, 1.0])))
+    best = fit(reliable.with_model(found.model), "used")
+    around = _fitted_around(reliable, BesideUnknown(found, [Share("mass_change", 1.0, 0.01, 1.0, exercised=True)], {}))
     assert around.model.names == ("mass_change",)
     assert np.array_equal(around.model.values[0], found.model.values[0])
-    assert around.cost < 1.2 * best.cost < fit(stands, "used").cost
+    assert around.cost < 1.2 * best.cost < fit(reliable, "used").cost
 
 
 @pytest.mark.study("a whole diagnosis beside an unknown force")
@@ -145,23 +145,23 @@ def beside_crank():
 
 def test_an_unknown_force_of_its_kind_leaves_nothing_and_one_of_another_kind_does():
     start = beside_crank()
-    left = [
+    remaining = [
         np.std(beside_kind(start, coarse.with_baseline()).residual("used"))
         for related in KINDS
         for coarse, *_ in related
     ]
-    assert left[0] < 0.1 * np.std(start.residual("used"))
-    assert left[0] < 0.2 * min(left[1:])
+    assert remaining[0] < 0.1 * np.std(start.residual("used"))
+    assert remaining[0] < 0.2 * min(remaining[1:])
 
 
 def test_what_is_the_same_everywhere_is_the_models_where_it_is_fitted_and_the_forces_where_it_is_given():
     start = beside_crank()
     heavier = start.with_model(Candidate(AXIS.mechanics.array() * [1.1, 1.0, 1.0, 1.0]))
     varies = KINDS[0][0][0]
-    left = [np.std(beside_kind(heavier, kind).residual("used")) for kind in (varies, varies.with_baseline())]
-    assert left[1] < 0.5 * left[0]
+    remaining = [np.std(beside_kind(heavier, kind).residual("used")) for kind in (varies, varies.with_baseline())]
+    assert remaining[1] < 0.5 * remaining[0]
     fitted = fit(beside_kind(heavier, varies), "used")
-    assert np.std(fitted.residual("used")) == pytest.approx(left[1], rel=0.3)
+    assert np.std(fitted.residual("used")) == pytest.approx(remaining[1], rel=0.3)
 
 
 def test_an_inertia_along_the_travel_is_that_of_lagranges_equation():
@@ -172,8 +172,8 @@ def test_an_inertia_along_the_travel_is_that_of_lagranges_equation():
     mass = 3.0 * q - 20.0 * q**3  # [kg], less a number
     momentum = np.gradient(mass * v, 1e-3) - 0.5 * (3.0 - 60.0 * q**2) * v * v  # d/dt dL/dv - dL/dq
     whole = np.column_stack([columns, seen.a])[5:-5]
-    left = momentum[5:-5] - whole @ np.linalg.lstsq(whole, momentum[5:-5], rcond=None)[0]
-    assert np.std(left) < 1e-4 * np.std(momentum)
+    remaining = momentum[5:-5] - whole @ np.linalg.lstsq(whole, momentum[5:-5], rcond=None)[0]
+    assert np.std(remaining) < 1e-4 * np.std(momentum)
 
 
 @pytest.mark.parametrize(
@@ -254,11 +254,11 @@ def test_friction_is_named_beside_a_mechanism():
 
 
 def says_what_the_rest_is_like(answer, verdict):
-    left = answer.details["unexplained"]
+    unexplained = answer.details["unexplained"]
     assert answer.verdict == verdict
-    assert "like an inertia that varies along the travel" in left["text"]
+    assert "like an inertia that varies along the travel" in unexplained["text"]
     assert "like an inertia that varies along the travel" in answer.sentence
-    assert left["kind_leaves"] < 1.3 * answer.noise.force < left["rms"]
+    assert unexplained["kind_leaves"] < 1.3 * answer.noise.force < unexplained["rms"]
 
 
 @pytest.fixture(scope="module")
@@ -329,22 +329,22 @@ def test_a_search_goes_on_past_a_force_when_the_noise_is_known(monkeypatch):
 
     monkeypatch.setattr(module, "search_with_unknown_force", searched)
     monkeypatch.setattr(beam_search, "finish_search", past)
-    told = []
+    stages = []
     library = [get_effect(name) for name in ("actuator_delay", "position_ripple", "mass_change")]
     first, second = with_force(crank, 1, SMOOTH), with_force(crank, 2, SLOWER)
-    diagnose(first, AXIS, library=library, holdout=second, progress=lambda stage, share: told.append(share))
+    diagnose(first, AXIS, library=library, holdout=second, progress=lambda stage, share: stages.append(share))
     assert len(stopped) == rules.IN_TURN
     assert [any(one.path is it.path for it in gone_on) for one in stopped] == [False, False, True]
-    assert told == sorted(told)
+    assert stages == sorted(stages)
 
 
 @pytest.mark.parametrize(
     ("names", "leaves", "explains"), [(("mass_change",), 1.2, True), (("mass_change",), 1.7, False), ((), 1.2, False)]
 )
 def test_what_is_left_counts_as_unknown_where_a_force_beside_effects_explains_half_of_it(names, leaves, explains):
-    asked = [Share(name, 1.0, 0.01, 1.0, exercised=True) for name in names]
+    shares = [Share(name, 1.0, 0.01, 1.0, exercised=True) for name in names]
     found = evaluate(Hypothesis(problem(), Candidate(AXIS.mechanics.array())))
-    force = BesideUnknown(found, asked, {}, kind="a memory", remaining_force=leaves)
+    force = BesideUnknown(found, shares, {}, kind="a memory", remaining_force=leaves)
     assert verdict._explains(force, remaining=1.8, floor=1.0) is explains
     assert not verdict._explains(None, remaining=1.8, floor=1.0)
 

@@ -43,8 +43,8 @@ def test_what_has_no_name_is_described_and_follows_more_closely(described):
     assert "Maxwell-slip friction" in found.effects
     assert found.holdout.extended < 0.9 * answer.holdout.extended
     run = Plant.of(found.axis).closed_loop(**driven_by(found.axis, held_out))
-    left = AXIS.drive.gain * (held_out.u - run.u)
-    assert found.share == pytest.approx(np.linalg.norm(left) / np.linalg.norm(AXIS.drive.gain * held_out.u), rel=0.05)
+    error = AXIS.drive.gain * (held_out.u - run.u)
+    assert found.share == pytest.approx(np.linalg.norm(error) / np.linalg.norm(AXIS.drive.gain * held_out.u), rel=0.05)
     assert "without naming a cause" in found.text
 
 
@@ -75,12 +75,12 @@ def test_what_holds_on_one_record_only_is_not_given():
 
 
 def test_an_event_or_a_contact_describes_nothing(monkeypatch):
-    asked = []
+    calls = []
     monkeypatch.setattr(closest, "tangent", lambda found: None)
     monkeypatch.setattr(closest, "fit", lambda found, part: found)
-    monkeypatch.setattr(closest, "screen", lambda found, library, absorbed: asked.extend(library) or [])
+    monkeypatch.setattr(closest, "screen", lambda found, library, absorbed: calls.extend(library) or [])
     closest.describe(None, tuple(known_effects().values()))
-    names = {effect.name for effect in asked}
+    names = {effect.name for effect in calls}
     assert {"force_map", "friction_map", "maxwell_slip_friction", "stribeck_friction"} <= names
     assert not names & {"external_force", "mass_change", "end_stop", "backlash", "actuator_lag", "encoder_error"}
 
@@ -88,10 +88,10 @@ def test_an_event_or_a_contact_describes_nothing(monkeypatch):
 @pytest.mark.study("the same diagnosis")
 def test_the_command_writes_it_and_takes_an_old_one_away(described, tmp_path, monkeypatch, capsys):
     _, answer = described
-    asked = []
+    calls = []
     monkeypatch.setattr(
         "emps_design.discrepancy.diagnose",
-        lambda request: asked.append(request.closest) or (answer if request.closest else healthy),
+        lambda request: calls.append(request.closest) or (answer if request.closest else healthy),
     )
     healthy = diagnose(record(), AXIS, library=LIBRARY)
     record().save(tmp_path / "run.npz")
@@ -103,5 +103,5 @@ def test_the_command_writes_it_and_takes_an_old_one_away(described, tmp_path, mo
     document = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     assert document["closest"]["model_file"] == "closest_model.toml"
     assert app.run(["diagnose", *run, "--force"]) == 0  # over the diagnosis of another record
-    assert asked == [True, False]
+    assert calls == [True, False]
     assert not (tmp_path / "found" / "closest_model.toml").exists()

@@ -65,9 +65,9 @@ def test_a_record_asks_for_the_share_that_is_there(there, share, refuted):
 
 def test_an_effect_that_the_record_does_not_bring_out_is_not_refuted():
     far = {"stiffness": 5e4, "position": 10.0, "side": 1.0}  # m
-    asked = effect_shares(Hypothesis(problem(60.0), model(elastic_force=SPRING, end_stop=far)))
-    assert [a.exercised for a in asked] == [True, False]
-    assert not any(a.refuted for a in asked)
+    shares = effect_shares(Hypothesis(problem(60.0), model(elastic_force=SPRING, end_stop=far)))
+    assert [a.exercised for a in shares] == [True, False]
+    assert not any(a.refuted for a in shares)
 
 
 def test_an_effect_stands_beside_something_unknown_and_what_stands_in_for_it_does_not():
@@ -79,9 +79,9 @@ def test_an_effect_stands_beside_something_unknown_and_what_stands_in_for_it_doe
     record = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
     seen = Problem(AXIS, (record,), (split(record),), problem(0.0).whitening)
     there, stand_in = {**SPRING, "stiffness": 150.0}, {"amplitude": 3.0, "period": 0.04, "phase": 0.0}
-    asked = effect_shares(Hypothesis(seen, model(elastic_force=there, position_ripple=stand_in)))
-    assert [a.is_reliable for a in asked] == [True, False]
-    assert asked[0].confirmed["share"] == pytest.approx(1.0, abs=0.1)
+    shares = effect_shares(Hypothesis(seen, model(elastic_force=there, position_ripple=stand_in)))
+    assert [a.is_reliable for a in shares] == [True, False]
+    assert shares[0].confirmed["share"] == pytest.approx(1.0, abs=0.1)
 
 
 def with_a_spring(stiffness):
@@ -95,10 +95,10 @@ def with_a_spring(stiffness):
 @pytest.mark.study("several fits")
 def test_what_stands_is_known_as_well_whatever_the_numbers_of_the_model_that_it_was_part_of():
     fitted_with_more = model(elastic_force={**SPRING, "stiffness": 130.0})
-    stands, withdrawn = reliable_effects(None, evaluate(Hypothesis(with_a_spring(150.0), fitted_with_more)))
-    assert stands.model.names == ("elastic_force",)
+    reliable, withdrawn = reliable_effects(None, evaluate(Hypothesis(with_a_spring(150.0), fitted_with_more)))
+    assert reliable.model.names == ("elastic_force",)
     assert withdrawn == ()
-    assert stands.model.values[0][0, 0] == pytest.approx(150.0, rel=0.01)
+    assert reliable.model.values[0][0, 0] == pytest.approx(150.0, rel=0.01)
 
 
 @pytest.mark.study("two diagnoses")
@@ -107,8 +107,8 @@ def test_what_ends_on_a_bound_when_it_is_fitted_anew_does_not_stand(largest, sta
     spring = get_effect("elastic_force")
     stiffness, *others = spring.parameters
     bounded = replace(spring, parameters=(replace(stiffness, upper=largest), *others))
-    begun = model().with_effect(bounded, bounded.values({**SPRING, "stiffness": 130.0}))
-    found, _ = reliable_effects(None, evaluate(Hypothesis(with_a_spring(150.0), begun)))
+    start_model = model().with_effect(bounded, bounded.values({**SPRING, "stiffness": 130.0}))
+    found, _ = reliable_effects(None, evaluate(Hypothesis(with_a_spring(150.0), start_model)))
     assert bool(found.model.names) is stands
 
 
@@ -148,9 +148,9 @@ def test_what_is_lost_in_the_bounces_of_play_does_not_stand_and_the_play_itself_
     ],
 )
 def test_what_is_hardly_wanted_however_the_rest_is_weighed_is_neither_refuted_nor_kept(share, weighed, hardly):
-    asked = Share("stribeck_friction", share, 0.04, 1.0, exercised=True, weighted=tuple(weighed))
-    assert (asked.refuted, asked.weakly_confirmed) == (False, hardly)
-    assert not replace(asked, exercised=False).weakly_confirmed
+    tested = Share("stribeck_friction", share, 0.04, 1.0, exercised=True, weighted=tuple(weighed))
+    assert (tested.refuted, tested.weakly_confirmed) == (False, hardly)
+    assert not replace(tested, exercised=False).weakly_confirmed
 
 
 def test_a_drift_between_laps_is_no_noise():
@@ -261,10 +261,10 @@ def test_an_interrupt_of_a_later_search_says_what_was_left_undone(monkeypatch, i
     monkeypatch.setattr(module, "calibrate", interrupted)
     of_a_kind = SimpleNamespace(is_sufficient=is_plain)
     first = Outcome(None, None, SimpleNamespace(searched=1), [], ("model",), {}, unknown_force=of_a_kind)
-    kept = _repeat_with_finer_noise(first, 0, 1, lambda stage, share: None)
-    assert kept.path == first.path
-    assert kept.warnings == (NOT_REPEATED, UNFINISHED)[: 1 + unfinished]
-    assert kept.interrupted is unfinished
+    repeated = _repeat_with_finer_noise(first, 0, 1, lambda stage, share: None)
+    assert repeated.path == first.path
+    assert repeated.warnings == (NOT_REPEATED, UNFINISHED)[: 1 + unfinished]
+    assert repeated.interrupted is unfinished
 
 
 def test_an_interrupt_of_the_healthy_searches_leaves_resampled_noise(monkeypatch):

@@ -163,8 +163,8 @@ def test_what_a_controller_does_beside_its_law_hides_nothing_of_the_plant(effect
     dither = 0.15 * np.repeat(noise.standard_normal(1 + Q_REF.size // 60), 60)[: Q_REF.size]
     voltage = dither + 4e-3 * noise.standard_normal(Q_REF.size)
     run = Plant.of(AXIS.replace(effects=list(effects))).closed_loop(Q_REF, voltage_noise=voltage)
-    made = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
-    found = diagnose(made, AXIS, library=SHORT)
+    recorded = Record(t=run.t, q_ref=Q_REF, q=run.q, u=run.u, period=1e-3, name="run")
+    found = diagnose(recorded, AXIS, library=SHORT)
     assert found.verdict == verdict
     assert [f.effect for f in found.findings] == [effect["kind"] for effect in effects]
     assert found.details["unexplained"]["law_gap"] == pytest.approx(np.std(voltage), rel=0.02)
@@ -232,10 +232,10 @@ def test_an_effect_of_a_user_takes_part():
     from emps_design.effects import REGISTRY, register
 
     own = get_effect("actuator_delay")
-    mine = type(own)(**{**own.__dict__, "name": "my_delay"})
-    register(mine)
+    renamed = type(own)(**{**own.__dict__, "name": "my_delay"})
+    register(renamed)
     try:
-        answer = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"), mine))
+        answer = diagnose(record(DELAYED), AXIS, library=(get_effect("elastic_force"), renamed))
         assert [f.effect for f in answer.findings] == ["my_delay"]
     finally:
         REGISTRY.added.pop("my_delay")
@@ -270,8 +270,8 @@ def test_a_motor_that_reaches_its_current_limit_lacks_nothing():
     run = Plant.of(motor).closed_loop(np.cumsum(speeds) * 1e-3)
     assert 0.005 < np.mean(np.abs(run.u) == 5.0) < 0.2
     unknown = motor.replace(controller={"kind": "none"})
-    made = Record(t=run.t, q_ref=run.q, q=run.q, u=run.u, period=1e-3, name="steps")
-    answer = diagnose(made, unknown, library=SHORT)
+    recorded = Record(t=run.t, q_ref=run.q, q=run.q, u=run.u, period=1e-3, name="steps")
+    answer = diagnose(recorded, unknown, library=SHORT)
     assert answer.verdict == "nothing-missing"
     assert answer.train.baseline < 1.5 * answer.noise.force
 
@@ -303,9 +303,9 @@ def test_one_speed_and_an_unknown_controller_tell_neither_mass_nor_friction():
     ripple = {"kind": "position_ripple", "amplitude": 8.0, "phase": 0.3, "period": 2 * np.pi / 18}
     turning = Plant.of(motor.replace(effects=[ripple])).closed_loop(4.0 * np.arange(7000) * 1e-3)
     measured = turning.u + 4e-3 * np.random.default_rng(0).standard_normal(7000)
-    made = Record(t=turning.t, q_ref=turning.q, q=turning.q, u=measured, period=1e-3, name="turns")
+    recorded = Record(t=turning.t, q_ref=turning.q, q=turning.q, u=measured, period=1e-3, name="turns")
     unknown = motor.replace(controller={"kind": "none"}, mechanics={"mass": 0.55})
-    answer = diagnose(made, unknown, fit_time=(0.5, 7.0), library=(get_effect("position_ripple"),))
+    answer = diagnose(recorded, unknown, fit_time=(0.5, 7.0), library=(get_effect("position_ripple"),))
     assert [f.effect for f in answer.findings] == ["position_ripple"]
     assert answer.findings[0].parameters["amplitude"]["value"] == pytest.approx(8.0, rel=0.05)
     mechanics = answer.axis.mechanics
@@ -431,9 +431,9 @@ def test_a_motor_that_is_switched_off_tells_by_its_motion():
     (left,), (more,) = Hypothesis(problem, right).residuals(), Hypothesis(problem, rough).residuals()
     assert np.abs(left).max() < 0.05  # N
     rolls = slice(2300, 4000)  # the same law that had the motor would ask for this
-    asked = 2000.0 * axis.drive.gain * (Hypothesis(problem, rough).run(0).q - seen.q)[rolls]
-    assert more[rolls] == pytest.approx(asked)
-    assert np.abs(asked).max() > 5.0
+    expected = 2000.0 * axis.drive.gain * (Hypothesis(problem, rough).run(0).q - seen.q)[rolls]
+    assert more[rolls] == pytest.approx(expected)
+    assert np.abs(expected).max() > 5.0
     # Another motion of the same machine has the gain of the record too.
     assert np.ptp(Hypothesis(problem, right).simulate(0, q_ref=0.5 * reference).force) > 1.0
 

@@ -67,17 +67,17 @@ def test_excitations_stay_inside_the_record_and_begin_and_end_at_rest_where_it_b
         assert q_ref[[0, -1]] == pytest.approx(seen.home, abs=1e-6), name
         assert np.abs(derivatives[0][[0, -1]]).max() < 1e-9, name
         assert 10 <= q_ref.size * period <= 45, name
-        made = split(Record(np.arange(q_ref.size) * period, q_ref, q_ref, 0.0 * q_ref, period))
-        assert len(made.strokes) >= 4, name
-        assert 0.15 < made.select.sum() / made.used.sum() < 0.5, name
+        parts = split(Record(np.arange(q_ref.size) * period, q_ref, q_ref, 0.0 * q_ref, period))
+        assert len(parts.strokes) >= 4, name
+        assert 0.15 < parts.select.sum() / parts.used.sum() < 0.5, name
         assert instruction(name)[0].islower()
 
 
 def problem_of(effect: dict, q_ref: np.ndarray) -> Problem:
-    made = record(AXIS.replace(effects=[effect]), q_ref)
-    problem = Problem(AXIS, (made,), (split(made),), Whitening.none())
+    measured = record(AXIS.replace(effects=[effect]), q_ref)
+    problem = Problem(AXIS, (measured,), (split(measured),), Whitening.none())
     floor = floor_of_laps(
-        Hypothesis(problem, Candidate(AXIS.mechanics.array())).residuals(), problem.splits, made.period
+        Hypothesis(problem, Candidate(AXIS.mechanics.array())).residuals(), problem.splits, measured.period
     )
     return problem.with_whitening(floor.whitening)
 
@@ -126,9 +126,9 @@ def test_the_record_that_was_asked_for_makes_an_ambiguous_verdict_a_name(true):
     library = tuple(get_effect(name) for name in ("actuator_delay", "actuator_lag"))
     axis = AXIS.replace(effects=[{"kind": true, **dict(PAIRS["delay or lag"])[true]}])
     first = synthetic_record(axis, stroke=0.1)
-    asked = diagnose(first, AXIS, library=library)
-    assert asked.verdict == "ambiguous"
-    second = synthetic_record(axis, seed=1, q_ref=asked.experiment.q_ref)
+    answer = diagnose(first, AXIS, library=library)
+    assert answer.verdict == "ambiguous"
+    second = synthetic_record(axis, seed=1, q_ref=answer.experiment.q_ref)
     answered = diagnose([first, second], AXIS, library=library)
     assert answered.verdict == "named"
     assert [finding.effect for finding in answered.findings] == [true]

@@ -22,12 +22,12 @@ def found(effect, seed=1):
 @pytest.mark.parametrize("time", quick([6.2, 6.9, 7.7, 9.3], 1, "other instants"))
 def test_a_mass_put_on_at_constant_speed_was_put_on_somewhere_in_that_stretch(time):
     record, parameters = found({"kind": "mass_change", "change": 0.2, "time": time}, seed=int(10 * time))
-    said, deviation = parameters["time"]["value"], parameters["time"]["std"]
-    assert abs(said - time) < 2.0 * deviation
+    value, deviation = parameters["time"]["value"], parameters["time"]["std"]
+    assert abs(value - time) < 2.0 * deviation
     accelerates = np.abs(np.gradient(np.gradient(record.q_ref, record.period), record.period)) > 0.05
     before, after = (record.t[accelerates & side] for side in (record.t < time, record.t > time))
     assert 2.0 * deviation < 0.6 * (after.min() - before.max())  # no more than the stretch
-    assert before.max() < said < after.min()
+    assert before.max() < value < after.min()
     assert parameters["change"]["value"] == pytest.approx(0.2, abs=4.0 * parameters["change"]["std"])
 
 

@@ -48,8 +48,8 @@ def test_what_a_controller_adds_is_known_in_the_rest_too(short):
     q_ref, noise = trapezoid_laps(1e-3, laps=2), np.random.default_rng(0)
     dither = 0.1 * np.repeat(noise.standard_normal(1 + q_ref.size // 60), 60)[: q_ref.size]
     run = Plant.of(AXIS).closed_loop(q_ref, voltage_noise=dither)
-    made = Record.from_arrays(1e-3, q_ref, run.q, run.u)
-    warnings = diagnose(made, AXIS, library=LIBRARY).details["warnings"]
+    recorded = Record.from_arrays(1e-3, q_ref, run.q, run.u)
+    warnings = diagnose(recorded, AXIS, library=LIBRARY).details["warnings"]
     (text,) = (message for message in warnings if message.code == "part-searched")
     residual = float(text.partition("the residual is ")[2].split()[0])
     assert residual < 0.1 * AXIS.drive.gain * np.std(dither)

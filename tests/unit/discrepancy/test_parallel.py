@@ -40,16 +40,16 @@ def test_the_first_row_that_fails_is_raised_whichever_fails_first():
 
 
 def test_an_interrupt_ends_what_the_other_thread_goes_on_with():
-    begun, never, done = threading.Event(), threading.Event(), []
+    started, never, done = threading.Event(), threading.Event(), []
 
     def inner(row):
-        begun.set()
+        started.set()
         never.wait(0.01)
         done.append(row)
 
     def outer(row):
         if threading.current_thread() is threading.main_thread():
-            begun.wait(10)
+            started.wait(10)
             raise KeyboardInterrupt
         side_by_side(inner, [(i,) for i in range(10_000)])
 

@@ -41,11 +41,11 @@ def test_strokes_end_where_the_direction_changes():
 @pytest.mark.parametrize("laps", [1, 3])
 def test_every_allowed_sample_fits_or_selects_and_none_does_both(laps):
     q_ref = trapezoid_laps(1e-3, stroke=0.1, laps=laps)
-    made = split(record(q_ref))
-    assert not (made.fit & made.select).any()
-    assert made.used[rules.START_UP :].all()
-    assert not made.used[: rules.START_UP].any()
-    assert made.fit.sum() > made.select.sum() > 0
+    parts = split(record(q_ref))
+    assert not (parts.fit & parts.select).any()
+    assert parts.used[rules.START_UP :].all()
+    assert not parts.used[: rules.START_UP].any()
+    assert parts.fit.sum() > parts.select.sum() > 0
 
 
 def test_a_shaft_that_turns_on_and_on_is_cut_into_pieces_of_at_least_a_turn():
@@ -59,10 +59,10 @@ def test_two_strokes_are_split_within():
     """Every part has as much of the motion as of the time: a long rest behind a step tells little."""
     step = np.minimum(np.arange(5000) / 400.0, 1.0)
     q = np.concatenate([step, 1.0 - step])
-    made = split(record(q), parts=4)
-    assert len(made.strokes) == 8
+    parts = split(record(q), parts=4)
+    assert len(parts.strokes) == 8
     moving = np.abs(np.gradient(q)) > 0
-    for part in (made.fit, made.select):
+    for part in (parts.fit, parts.select):
         assert 0.2 < np.mean(part[moving]) < 0.8
     axis = machine("emps2019").replace(controller={"kind": "none"})
     two = Record.from_arrays(1e-3, 0.1 * q, 0.1 * q, np.gradient(q) * 1e3 + 0.1 * np.sin(np.arange(q.size)))

@@ -24,9 +24,9 @@ def rough(noise: int):
     plain, places = smooth(noise), np.random.default_rng(noise + 100).choice(len(LINES), 200, replace=False)
 
     def residual(model):
-        left = plain(model)
-        left[places] += 15.0 * np.sin(4e3 * LINES[places] @ model.vector(SLOTS))
-        return bounded(left)
+        remaining = plain(model)
+        remaining[places] += 15.0 * np.sin(4e3 * LINES[places] @ model.vector(SLOTS))
+        return bounded(remaining)
 
     return residual
 

@@ -14,15 +14,15 @@ SPRING = {"kind": "elastic_force", "stiffness": 300.0, "rest_position": 0.1}
 
 def stages(effects, rounds):
     """The first stages that a diagnosis tells, up to the end of its calibration."""
-    told = []
+    messages = []
 
     def progress(stage, share):
-        told.append(stage)
+        messages.append(stage)
         if stage.startswith("round"):
             raise KeyboardInterrupt
 
     diagnose(synthetic_record(AXIS.replace(effects=effects), laps=1), AXIS, library=LIBRARY, progress=progress)
-    return [stage for stage in told if stage.startswith(rounds)]
+    return [stage for stage in messages if stage.startswith(rounds)]
 
 
 @pytest.mark.parametrize("stage", ["fitting the baseline", "healthy reference"])

@@ -50,23 +50,23 @@ def places(record, units) -> list[str]:
 def messages(axis, record) -> list[str]:
     """What a diagnosis of the axis would say, from its parts."""
     units, limit = axis.units, axis.drive.command_limit
-    said = [filled(text, units) for text in (*unexplained.ASSUMPTIONS, unexplained.FOLLOWED, preparation.ONE_SPEED)]
-    said += [unexplained.like("friction that depends on the past motion", 0.5, units), *places(record, units)]
-    said.append(changed(axis.mechanics.array(), 1.1 * axis.mechanics.array(), range(4), units))
+    texts = [filled(text, units) for text in (*unexplained.ASSUMPTIONS, unexplained.FOLLOWED, preparation.ONE_SPEED)]
+    texts += [unexplained.like("friction that depends on the past motion", 0.5, units), *places(record, units)]
+    texts.append(changed(axis.mechanics.array(), 1.1 * axis.mechanics.array(), range(4), units))
     effects = [worded(effect, units) for effect in known_effects().values()]
-    said += [text for effect in effects for text in (effect.label, effect.words.experiment, effect.words.remedy)]
-    said += [label_of(effect.name, units) for effect in effects]
+    texts += [text for effect in effects for text in (effect.label, effect.words.experiment, effect.words.remedy)]
+    texts += [label_of(effect.name, units) for effect in effects]
     fast = replace(record, q_ref=np.where(record.q_ref > record.q_ref.mean(), 1.0, -1.0), u=np.full(len(record), limit))
-    said.append(refused(RecordError, check_records, (fast,), axis))
-    said += check_records((replace(record, q_ref=10.0 * record.q_ref),), axis)
-    said.append(refused(InputError, check_law, replace(record, u=0.3 * record.u), axis, ()))
+    texts.append(refused(RecordError, check_records, (fast,), axis))
+    texts += check_records((replace(record, q_ref=10.0 * record.q_ref),), axis)
+    texts.append(refused(InputError, check_law, replace(record, u=0.3 * record.u), axis, ()))
     where = {"text": "throughout", "force": {"value": 0.92, "unit": units.unit("N"), "sense": "more or less"}}
     parameters = {
         name: {"value": 0.0123, "std": 0.001, "unit": unit}
         for name, unit in (("force", "N"), ("period", "m"), ("level", "V"), ("velocity", "m/s"), ("delay", "s"))
     }
     finding = Finding("external_force", label_of("external_force", units), "plant", where, parameters, 0.0, 2.0, 1.0)
-    return [*said, finding.in_words(units)]
+    return [*texts, finding.in_words(units)]
 
 
 def drawn(axis, record) -> list[str]:
@@ -82,8 +82,8 @@ def drawn(axis, record) -> list[str]:
 
 
 def test_nothing_has_to_be_rewritten(axis, record):
-    said = [*messages(axis, record), *drawn(axis, record)]
-    assert [rewritten(axis.units, text) for text in said] == said
+    texts = [*messages(axis, record), *drawn(axis, record)]
+    assert [rewritten(axis.units, text) for text in texts] == texts
 
 
 def test_they_are_those_of_the_linear_axis_in_other_words(axis, record):

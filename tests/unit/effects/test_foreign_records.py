@@ -109,8 +109,8 @@ def test_the_floor_of_a_foreign_record_is_reached(hidden_data, name):
     axis = healthy_axis(hidden_data, name.split("-")[0])
     b = axis.mechanics.array()
     effects = [{"kind": kind, **translate(kind, truth["parameters"], b)} for kind in truth["effects"]]
-    left = math.inf
+    smallest = math.inf
     for phase in np.arange(0.0, 2 * math.pi, 0.1) if None in effects[0].values() else [0.0]:
         whole = [{key: phase if value is None else value for key, value in effect.items()} for effect in effects]
-        left = min(left, error(axis.replace(effects=whole), record))
-    assert left < 1.08 * truth["floor_closed_loop"]
+        smallest = min(smallest, error(axis.replace(effects=whole), record))
+    assert smallest < 1.08 * truth["floor_closed_loop"]

@@ -66,11 +66,11 @@ from emps_design.simulation import Plant
 axis = machine("emps2019").replace(effects=[{"kind": "air_drag", "cubic": 2e4}])
 print(Plant.of(axis).open_loop(np.full(800, 2.0)).v[-1])
 """
-    said = [
+    texts = [
         subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
         for _ in range(2)
     ]
-    assert said[0] == said[1]
+    assert texts[0] == texts[1]
 
 
 def test_the_environment_names_files(own_file, tmp_path):

@@ -132,8 +132,8 @@ def test_table_2_is_that_of_another_seed_too(section):
 
 @EXPERIMENTS
 def test_speeds_of_the_bench_are_those_that_table_2_says(section):
-    for found, said in zip(rms_speeds(section.table_2), rms_speeds(PRINTED["table_2"]), strict=True):
-        assert found == pytest.approx(said, rel=0.1)
+    for found, printed in zip(rms_speeds(section.table_2), rms_speeds(PRINTED["table_2"]), strict=True):
+        assert found == pytest.approx(printed, rel=0.1)
 
 
 @pytest.mark.study("the bench under four assumptions")

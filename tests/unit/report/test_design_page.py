@@ -41,8 +41,8 @@ def undrawn(monkeypatch):
 
 @pytest.mark.slow("a whole report")
 def test_the_page_shows_the_gains_and_the_margins_of_all_four_loops(page):
-    for said in ("556.8 V/(m/s)", "8.455 ms", "60.0°", "60.2°", "39.2°"):
-        assert said in page, said
+    for phrase in ("556.8 V/(m/s)", "8.455 ms", "60.0°", "60.2°", "39.2°"):
+        assert phrase in page, phrase
     cells = re.findall(r"<td[^>]*>([^<]*)", page)
     assert {"556.766", "8.45505", "60", "60.23", "39.18", "159.9", "25.45", "unbounded"} <= set(cells)
 
@@ -58,14 +58,14 @@ def test_the_page_of_a_pi_design_shows_and_says_pi(sketched):
     drive = {"kind": "cascade", "velocity": {"kp": 99.0, "ti": 0.1}, "filters": [{"kind": "lowpass", "frequency": 200}]}
     axis = machine("emps2018").replace(controller=drive)
     page = design_page(design_results(retune_velocity_loop(axis, crossover=60.0))).html()
-    for said in ("The PI velocity loop", "gains retuned, for the loop as sampled", "With PI it is the loop"):
-        assert said in page, said
+    for phrase in ("The PI velocity loop", "gains retuned, for the loop as sampled", "With PI it is the loop"):
+        assert phrase in page, phrase
     assert "IP velocity loop" not in page
     assert "It crosses 0 dB at a higher" not in page
 
 
 def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivation_differ(page):
-    for said in (
+    for phrase in (
         ">73.81<",
         ">235.8<",
         ">6.296<",
@@ -75,7 +75,7 @@ def test_the_page_tells_what_the_printed_law_costs_and_where_print_and_derivatio
         "force to break away, at rest",
         ">17.38<",
     ):
-        assert said in page, said
+        assert phrase in page, phrase
 
 
 def test_a_page_has_the_sections_that_were_asked_for(sketched):
@@ -247,10 +247,10 @@ def test_command_exits_four_for_a_force_gain_that_is_unstable(tmp_path, capsys, 
 def test_bad_input_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch, capsys, arguments, message, status):
     monkeypatch.chdir(tmp_path)
     assert run(["report", *arguments]) == status
-    said = [
+    lines = [
         line for line in capsys.readouterr().err.splitlines() if "found" in line or "exist" in line or message in line
     ]
-    assert any(message in line for line in said)
+    assert any(message in line for line in lines)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -155,14 +155,14 @@ def test_the_first_screen_has_the_sentence_then_where_then_before_and_after(sket
 
 def test_the_page_tells_everything_the_diagnosis_knows(sketched):
     html = diagnosis_page(invented()).html()
-    for said in (
+    for phrase in (
         "7.40 ± 0.60 N", "6.63 to 9.37 mm/s", "presliding friction", "&lt; 0.001", "explains less than half",
             "96.20 ± 0.20 kg",
         "8.0 µm", "Compensate the friction", "slow triangles", "38.2", "6.4 standard deviations",
         "--reference experiment.csv", "ab" * 32,
         "few low speeds", "199 simulated healthy records", "99 %", "model.toml",
     ):  # fmt: skip
-        assert said in html, said
+        assert phrase in html, phrase
 
 
 def test_the_reference_to_record_is_drawn_where_there_is_one(sketched):
@@ -192,9 +192,10 @@ def test_the_first_screen_says_what_was_found_how_sure_what_is_left_and_what_to_
     finding = diagnosis.document["findings"][0]
     finding["confirmed"] = {"share": 0.97, "std": 0.04}
     finding["where"]["force"] = {"value": 7.4, "unit": "N", "sense": "more"}
-    left = {"rms": 2.3, "share": 0.18, "over": ["position"], "text": "2.3 N rms over the noise; it follows position"}
+    text = "2.3 N rms over the noise; it follows position"
+    unexplained = {"rms": 2.3, "share": 0.18, "over": ["position"], "text": text}
     map_ = {"velocity": [-0.1, 0.1], "position": [0.0, 0.1], "force": [[1.0, -1.0], [2.0, -2.0]]}
-    diagnosis.document["unexplained"] = left | {"map": map_}
+    diagnosis.document["unexplained"] = unexplained | {"map": map_}
     plain = in_plain_words(diagnosis.document)
     assert "one cause has been found: Stribeck friction" in plain
     assert "was not used to find it agrees" in plain
@@ -210,10 +211,10 @@ def test_what_an_unknown_force_of_one_kind_would_leave_stands_beside_what_the_ef
     diagnosis = invented("partly-named")
     units = {"velocity": "m/s", "position": "m", "force": "N"}
     map_ = {"velocity": [-0.1, 0.1], "position": [0.0, 0.1], "force": [[1.0, -1.0], [2.0, -2.0]], "units": units}
-    left = {"rms": 2.3, "share": 0.18, "over": [], "text": "2.3 N", "kind": "", "map": map_}
-    diagnosis.document["unexplained"] = left
+    unexplained = {"rms": 2.3, "share": 0.18, "over": [], "text": "2.3 N", "kind": "", "map": map_}
+    diagnosis.document["unexplained"] = unexplained
     assert "with the unknown force" not in diagnosis_page(diagnosis).html()
-    left |= {"kind": "an inertia that varies", "kind_leaves": 0.4567}
+    unexplained |= {"kind": "an inertia that varies", "kind_leaves": 0.4567}
     html = diagnosis_page(diagnosis).html()
     assert html.index("force error after") < html.index("with the unknown force") < html.index("noise floor")
     assert "0.457 N" in html

@@ -37,8 +37,8 @@ def record(axis):
 
 def check(written: str, units: Units) -> None:
     """Nothing in ``written`` would be rewritten, but the metre of a newton metre."""
-    kept = written.replace("newton metre", "")
-    assert rewritten(units, kept) == kept
+    rest = written.replace("newton metre", "")
+    assert rewritten(units, rest) == rest
 
 
 def test_nothing_on_the_page_of_a_report_has_to_be_rewritten(axis, record, sketched, few_estimates):

@@ -61,12 +61,12 @@ def test_what_no_random_plant_has_is_not_shown_as_a_number():
 def test_what_costs_phase_is_named_with_the_filters_and_the_effects_of_the_axis(sketched):
     plain = machine("emps2018")
     flexible = plain.replace(effects=[COUPLING])
-    said = [
+    costs = [
         phase_costs(page_of(design_velocity_loop(axis, crossover=50.0)))
         for axis in (plain, with_filters(plain), flexible, with_filters(flexible))
     ]
     always = "sampling, hold, current loop, delay"
-    assert said == [
+    assert costs == [
         f"{always} and velocity estimator",
         f"{always}, velocity estimator and filters of the command",
         f"{always}, velocity estimator and effects of the axis",
@@ -81,9 +81,9 @@ def test_margins_are_said_to_contain_the_filters(sketched):
 
 
 def test_gains_that_were_retuned_are_not_those_of_equation_7(sketched):
-    asked = page_of(design_velocity_loop(machine("emps2018"), crossover=60.0))
-    assert "gains by (7)" in asked
-    assert "feasible phase margin at this crossover" in asked
+    page = page_of(design_velocity_loop(machine("emps2018"), crossover=60.0))
+    assert "gains by (7)" in page
+    assert "feasible phase margin at this crossover" in page
     retuned = page_of(retune_velocity_loop(machine("emps2018"), crossover=60.0))
     assert "gains retuned, for the loop as sampled" in retuned
     assert "gains by (7)" not in retuned

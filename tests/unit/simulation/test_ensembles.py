@@ -84,10 +84,10 @@ def test_an_interrupt_keeps_what_is_finished():
 
 
 def test_progress_is_told():
-    told = []
-    simulate_ensemble(AXIS, monte_carlo(AXIS, 0.02, 600), Q_REF, workers=2, progress=lambda *now: told.append(now))
-    assert told[-1] == ("plants", 1.0)
-    assert len(told) == 3
+    progress = []
+    simulate_ensemble(AXIS, monte_carlo(AXIS, 0.02, 600), Q_REF, workers=2, progress=lambda *now: progress.append(now))
+    assert progress[-1] == ("plants", 1.0)
+    assert len(progress) == 3
 
 
 def test_what_is_varied():
