@@ -107,7 +107,7 @@ def law_of(axis: ControlledAxis, period: float, columns: Mapping[str, Any] | Non
         *most, last = known_laws()
         raise AxisError(
             f"{axis.name}: controller.kind: found {kind!r}, expected {', '.join(most)} or {last} to close a loop; "
-            "`law` identifies the one that made a record"
+            "the command law identifies the one that made a record"
         )
     law, parameters, recorded = get_law(kind), _parameters_of_kind(axis), recorded_gains(axis)
     if not recorded:
