@@ -32,7 +32,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Score a set of cases; the counts go to standard output as JSON."""
     parser = argparse.ArgumentParser(prog="python -m tests.hidden", description=__doc__)
     parser.add_argument("--cases", choices=generate.SETS, default="all")
-    parser.add_argument("--count", type=int, default=8, help="cases of a set that goes on, healthy drives of `all`")
+    parser.add_argument(
+        "--count", type=int, default=8, help="number of cases of the other sets, and of healthy drives in `all`"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--no-laps", action="store_true", help="training programs in which nothing repeats")

@@ -81,9 +81,9 @@ def cases(which: str, count: int = 8, seed: int = 0) -> list[Case]:
 
 
 def _drawn(which: str, number: int, rng: np.random.Generator) -> Case:
-    """Case ``number`` of a set that goes on: three or four effects, one beside unknown physics, a small one ...
+    """Case ``number`` of a set of any length: three or four effects, one beside unknown physics, a small one ...
 
-    In a crowded one a motor at its limit, or play, is in company of two or three others.
+    A crowded one combines a motor at its limit, or backlash, with two or three other effects.
     """
     physics = tuple(name for name in EFFECTS if name != "controller_disturbance")  # which the law alone shows
     strange = UNKNOWN[number % len(UNKNOWN)]
@@ -304,7 +304,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--cases", choices=SETS, default="quick")
-    parser.add_argument("--count", type=int, default=8, help="cases of a set that goes on, healthy drives of `all`")
+    parser.add_argument(
+        "--count", type=int, default=8, help="number of cases of the other sets, and of healthy drives in `all`"
+    )
     parser.add_argument("--only", default="", help="cases whose name contains this")
     parser.add_argument("--no-laps", action="store_true", help="training programs in which nothing repeats")
     options = parser.parse_args(arguments)
