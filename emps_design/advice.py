@@ -269,9 +269,11 @@ def where_in_words(where: Mapping[str, Any], units: Units = LINEAR) -> str:
 
 
 def _unsafe(worst: Mapping[str, Any] | None, units: Units) -> str:
-    """Return in words which margins of the worst loop are too small, or ""."""
+    """Return in words that the worst loop is unstable, or which of its margins are too small, or ""."""
     if worst is None:
         return ""
+    if not worst["stable"]:
+        return f"the {_loop(worst, units)} is unstable"
     phase, gain = worst["phase_margin_deg"], worst["gain_margin"]
     short = []
     if phase is not None and phase < SAFE_PHASE_MARGIN_DEG:

@@ -42,7 +42,8 @@ from emps_design.codegen.targets import (
 from emps_design.codegen.vectors import Vectors, operations_of, vectors_of
 from emps_design.compensation.feedforward import FeedForward, terms_of
 from emps_design.compensation.study import digest_of
-from emps_design.control.sampled import axis_loop
+from emps_design.control.sampled import loop_in_words
+from emps_design.control.verdict import worst_loop_of
 from emps_design.errors import AxisError, EmpsError, InputError, UnstableError
 from emps_design.files import write_text, write_together
 from emps_design.messages import note, warning
@@ -295,7 +296,7 @@ def export_controller(
     ``compensation`` is what :func:`~emps_design.compensation.compensate` found, as plain data; the page says the
     ``origin`` of the axis. The same axis gives the same bytes. Raises :class:`InputError` for another target, for an
     axis without a controller, for a law that has no translation and for a compensation of another axis, and
-    :class:`UnstableError` for a controller whose loop on the axis is unstable.
+    :class:`UnstableError` for a controller with an unstable loop on the axis, in either direction.
 
     >>> from emps_design.machines import machine
     >>> list(export_controller(machine("emps2019"), "c").files)
@@ -311,15 +312,14 @@ def export_controller(
 
 
 def _loop_stable(axis: Axis) -> bool:
-    """Whether the loop of ``axis`` is stable; False where a law is not linear, :class:`UnstableError` where not."""
+    """Whether the loops of ``axis`` are stable; False where a law is not linear, :class:`UnstableError` where not."""
     try:
-        loop = axis_loop(axis)
+        loop = worst_loop_of(axis)
     except AxisError:
         return False
-    if not loop.stable:
-        raise UnstableError(
-            f"axis {axis.name}: its loop is unstable, largest pole {loop.radius:.4g}: no code for a drive is written"
-        )
+    if not loop.margins.stable:
+        words = loop_in_words(loop, axis.units)
+        raise UnstableError(f"axis {axis.name}: its {words} is unstable: no code for a drive is written")
     return True
 
 

@@ -26,7 +26,8 @@ from emps_design.compensation.feedforward import (
     reversal_of,
     terms_of,
 )
-from emps_design.control.sampled import nested_loops, worst_loop
+from emps_design.control.sampled import loop_in_words
+from emps_design.control.verdict import worst_loop_of
 from emps_design.errors import InputError, SimulationError, UnstableError
 from emps_design.laws import Law, law_of
 from emps_design.messages import Message, warning
@@ -103,7 +104,7 @@ class Compensation(Viewed):
             },
             "limited_share": self.limited,
             "overshoot": dict(zip(("without", "with"), self.overshoot, strict=True)),
-            "worst_loop": worst_loop(nested_loops(self.axis)).to_dict(),
+            "worst_loop": worst_loop_of(self.axis).to_dict(),
             "units": {
                 "overshoot": self.unit,
                 "tracking_rms": self.unit,
@@ -237,7 +238,8 @@ def compensate(
 
     ``q_ref`` is by default one lap of trapezoidal velocity; ``mismatch`` is the relative error of the parameters,
     ``phase_deg`` that of phases; ``terms`` are those to choose from, by default all. Raises :class:`InputError` for a
-    law without a reference and for an unknown term, :class:`UnstableError` if the loop alone is unstable.
+    law without a reference and for an unknown term, :class:`UnstableError` if a loop alone is unstable, in either
+    direction.
 
     >>> from emps_design.machines import machine
     >>> rms = compensate(machine("emps2019")).to_dict()["tracking_rms"]
@@ -257,6 +259,10 @@ def compensate(
     without, _ = trial.with_terms(())
     if not math.isfinite(without):
         raise UnstableError(f"axis {axis.name}: the loop is unstable without any feed-forward; design it first")
+    loop = worst_loop_of(axis)
+    if not loop.margins.stable:  # a short run may end before that shows
+        words = loop_in_words(loop, axis.units)
+        raise UnstableError(f"axis {axis.name}: the {words} is unstable without any feed-forward; design it first")
     possible = tuple(name for name in possible if terms is None or name in terms)
     baseline, _ = trial.with_terms(tuple(BASELINE))
     alone = {name: trial.with_terms((name,))[0] for name in possible}

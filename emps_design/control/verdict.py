@@ -115,6 +115,18 @@ def cases_of(
     return (*cases, *(Case(with_errors(axis, shares), velocity, where=shares) for shares in off))
 
 
+def worst_loop_of(axis: Axis) -> NestedLoop:
+    """Return the loop of the controller of ``axis`` with the smallest margins, in either direction.
+
+    Raises :class:`~emps_design.errors.AxisError` if the axis has no controller, or one that is not linear.
+
+    >>> from emps_design.machines import machine
+    >>> worst_loop_of(machine("emps2019")).name
+    'whole loop'
+    """
+    return worst_loop(loop for case in cases_of(axis) for loop in case.loops)
+
+
 @dataclass(frozen=True)
 class DesignVerdict:
     """The loops of a velocity ``design`` as it will run, and the worst of them.

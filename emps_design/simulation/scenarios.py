@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from emps_design.axis import Axis
-from emps_design.control.sampled import loop_in_words, nested_loops, worst_loop
+from emps_design.control.sampled import loop_in_words
+from emps_design.control.verdict import worst_loop_of
 from emps_design.errors import AxisError, InputError, SimulationError, UnstableError
 from emps_design.laws import leaves
 from emps_design.messages import Message, note, warning
@@ -414,7 +415,7 @@ class Followed(Viewed):
     def to_dict(self) -> dict[str, Any]:
         """Tracking error, largest signals, events; a ``reason`` if a loop is unstable and only limits bound it."""
         run, limit = self.run, self.axis.drive.command_limit
-        worst = worst_loop(nested_loops(self.axis))
+        worst = worst_loop_of(self.axis)
         error = run.q_ref - run.position
         return {
             "scenario": "reference",

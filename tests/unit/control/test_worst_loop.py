@@ -6,17 +6,22 @@ import math
 import numpy as np
 import pytest
 
-from emps_design.advice import where_in_words
+from emps_design.advice import advise, where_in_words
 from emps_design.axis import Axis
 from emps_design.cli.app import run
+from emps_design.codegen import export_controller
+from emps_design.compensation import compensate
+from emps_design.control.controller import controller_margins
 from emps_design.control.force import design_force_loop
 from emps_design.control.margins import Margins
 from emps_design.control.sampled import NestedLoop, nested_loops, safety, worst_loop
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 from emps_design.control.velocity.load_range import LoadRange, loaded
 from emps_design.control.verdict import DesignVerdict, cases_of
+from emps_design.errors import UnstableError
 from emps_design.machines import machine
 from emps_design.simulation import Plant
+from emps_design.simulation.scenarios import follow
 
 # A ball screw whose position loop was made for a velocity loop four times as fast as the one asked for below.
 SCREW = Axis.from_dict(
@@ -176,3 +181,37 @@ def test_margins_without_those_of_a_delay_are_otherwise_the_same():
     assert quick.margins.delay_margin is None
     cases = cases_of(SCREW, span=LoadRange(inertia=(1.0, 2.0)))
     assert [len(case.loops) for case in cases] == [3] * 9
+
+
+# A small positioner that friction damps in one direction alone, and one that it hardly damps in either.
+ONE_WAY = Axis.from_dict(
+    {
+        "name": "positioner",
+        "mechanics": {"mass": 10.0, "viscous": 25.0, "coulomb": 1.0},
+        "drive": {"force_gain": 10.0},
+        "sampling": {"period": 1e-3, "computation_delay": 3},
+        "controller": {"kind": "p", "kp": 25.0},
+        "effects": [{"kind": "asymmetric_viscous_friction", "viscous_difference": 24.9}],
+    }
+)
+SLIPPERY = ONE_WAY.replace(mechanics={"viscous": 0.5}, effects=[])
+
+
+@pytest.mark.parametrize(("axis", "where"), [(ONE_WAY, {"velocity": -0.1}), (SLIPPERY, {})])
+def test_no_command_calls_a_loop_safe_that_is_unstable_in_a_direction(axis, where):
+    """A run that ends before the loop has swung up is no proof; nor is the other direction."""
+    assert controller_margins(axis).worst.where == where
+    followed = follow(axis, 0.1 * np.clip(1e-3 * np.arange(2000), 0.0, 1.0)).to_dict()
+    assert followed["worst_loop"].get("where", {}) == where
+    assert followed["reason"].startswith("the whole loop")
+    assert advise("simulate", followed).level == "do-not-run"
+    with pytest.raises(UnstableError, match="the whole loop .*is unstable without any feed-forward"):
+        compensate(axis)
+    with pytest.raises(UnstableError, match="its whole loop .*is unstable: no code for a drive is written"):
+        export_controller(axis, "c")
+
+
+def test_an_unstable_worst_loop_is_not_safe_though_nothing_else_says_so():
+    worst = NestedLoop("whole loop", "plant input", Margins(stable=False)).to_dict()
+    advice = advise("margins", {"axis": "servo", "worst_loop": worst, "warnings": []})
+    assert (advice.level, advice.text) == ("caution", "the whole loop is unstable")
