@@ -50,6 +50,7 @@ from emps_design.control.impedance.passivity import (
     sampled_loop,
 )
 from emps_design.control.impedance.robustness import (
+    SPEED,
     VERDICTS,
     break_away,
     corner_errors,
@@ -57,6 +58,7 @@ from emps_design.control.impedance.robustness import (
     creep_speed,
     dead_band,
     drift_threshold,
+    extended_radius,
     impedance_loops,
     nearest_stable,
     sinking_force,
@@ -77,7 +79,6 @@ from emps_design.view import Line, Table, View, Viewed
 FIRST = (1, 9, 41)  # where the estimates of a proposed law are split into batches, simulated in turn
 DRAWN, FEW = 200, 4  # random estimates of a proposed law; on an axis with effects, which takes longer to simulate
 LITTLE = 1e-3  # relative error of these estimates if there is no mismatch
-SPEED = 0.1  # m/s, of the slide in which effects are linearised
 SWINGS = ("limit_cycle", "unstable")  # verdicts on an unusable law
 # Motion of the released carriage, by verdict.
 DOES = {
@@ -198,24 +199,23 @@ class ImpedanceAssessment(Viewed):
 
     @cached_property
     def worst_radius(self) -> float:
-        """Largest pole modulus over the corners of the mismatch, sliding and sticking."""
-        return float(worst_radius(self.law, self.plant, self.clock, self.mismatch or 0.0))
+        """Largest pole modulus over the corners of the mismatch, sliding and sticking, with the axis's effects."""
+        mismatch = self.mismatch or 0.0
+        radius = float(worst_radius(self.law, self.plant, self.clock, mismatch))
+        return radius if self.extended is None else max(radius, float(extended_radius(self.axis, self.law, mismatch)))
 
     @cached_property
     def extended(self) -> SampledLoop | None:
         """The loop with the effects that the friction model leaves out, linearised; None without such effects."""
         if not left_out(self.axis):
             return None
-        return max((extended_loop(self.axis, self.law, v) for v in self._speeds), key=lambda loop: loop.radius)
+        speeds = [direction * SPEED for direction in self.plant.directions]
+        return max((extended_loop(self.axis, self.law, v) for v in speeds), key=lambda loop: loop.radius)
 
     @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
         """The loop at the plant input in every direction, and at the corners of the mismatch."""
         return impedance_loops(self.axis, self.law, self.mismatch or 0.0)
-
-    @property
-    def _speeds(self) -> list[float]:
-        return [direction * SPEED for direction in self.plant.directions]
 
     @cached_property
     def loop(self) -> SampledLoop:
@@ -247,7 +247,7 @@ class ImpedanceAssessment(Viewed):
     @property
     def poles_stable(self) -> bool:
         """Whether the sampled loop is stable, at every corner of the mismatch, and with the axis's effects."""
-        return self.worst_radius <= 1.0 + MARGINAL and (self.extended is None or self.extended.stable)
+        return self.worst_radius <= 1.0 + MARGINAL
 
     @cached_property
     def verdict(self) -> str:
@@ -300,11 +300,13 @@ class ImpedanceAssessment(Viewed):
         if self.stable:
             return None
 
+        mismatch = self.mismatch or 0.0
+
         def accept(laws: ImpedanceLaw) -> np.ndarray:
-            return np.all([extended_loop(self.axis, laws, v).stable for v in self._speeds], axis=0)
+            return extended_radius(self.axis, laws, mismatch) <= 1.0 + MARGINAL
 
         extended = None if self.extended is None else accept
-        return nearest_stable(self.law, self.plant, self.clock, self.mismatch or 0.0, extended, self._calm)
+        return nearest_stable(self.law, self.plant, self.clock, mismatch, extended, self._calm)
 
     @property
     def reason(self) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.impedance.law import FrictionModel, ImpedanceLaw, law_for
-from emps_design.control.impedance.passivity import CLOSE, Clock, recursion_poles, sampled_loop
+from emps_design.control.impedance.passivity import CLOSE, Clock, extended_loop, recursion_poles, sampled_loop
 from emps_design.control.margins import bisect
 from emps_design.control.sampled import MARGINAL, PLANT_INPUT, WHOLE, NestedLoop, at_plant_input
 from emps_design.control.velocity.load_range import corners as corners_of
@@ -177,13 +177,32 @@ def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch
 
     Where M_a and filter of ``law`` are arrays, the result has the shape to which they broadcast.
     """
-    corners = [{"mass": 0.0, "viscous": 0.0}, *(_sliding_corners(mismatch))]
-    beside = (1,) * len(np.broadcast_shapes(np.shape(law.mass), np.shape(law.filter)))
-    off = law.with_errors({name: errors.reshape(-1, *beside) for name, errors in stacked(corners).items()})
+    off = _exact_and_off(law, mismatch)
     radii = [sampled_loop(off, plant, clock, direction).radius for direction in plant.directions]
     if not law.force_sensor:
         radii.append(np.abs(recursion_poles(off, clock)).max(axis=-1))
     return np.max(np.broadcast_arrays(*radii), axis=(0, 1))
+
+
+def extended_radius(axis: Axis, law: ImpedanceLaw, mismatch: float) -> np.ndarray:
+    """:func:`worst_radius` while sliding, with the effects of ``axis`` that the friction model leaves out, linearised.
+
+    >>> from emps_design.control.impedance.law import impedance_law
+    >>> from emps_design.machines import machine
+    >>> coupling = {"kind": "flexible_coupling", "frequency": 80.0, "damping": 0.05, "share": 0.1}
+    >>> axis = machine("emps2018").replace(effects=[coupling])
+    >>> [float(extended_radius(axis, impedance_law(axis, 30.0, 300.0), e).round(4)) for e in (0.0, 0.2)]
+    [0.997, 1.0012]
+    """
+    off, directions = _exact_and_off(law, mismatch), FrictionModel.of(axis).directions
+    return np.max([extended_loop(axis, off, direction * SPEED).radius for direction in directions], axis=(0, 1))
+
+
+def _exact_and_off(law: ImpedanceLaw, mismatch: float) -> ImpedanceLaw:
+    """``law`` with exact estimates and at the corners of ``mismatch``, along a new first axis of its arrays."""
+    corners = [{"mass": 0.0, "viscous": 0.0}, *_sliding_corners(mismatch)]
+    beside = (1,) * len(np.broadcast_shapes(np.shape(law.mass), np.shape(law.filter)))
+    return law.with_errors({name: errors.reshape(-1, *beside) for name, errors in stacked(corners).items()})
 
 
 def _sliding_corners(mismatch: float) -> list[dict[str, float]]:

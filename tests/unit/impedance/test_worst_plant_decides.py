@@ -9,6 +9,7 @@ from emps_design.comanipulation.assessment import SWINGS, assess_impedance
 from emps_design.comanipulation.run import run_task
 from emps_design.comanipulation.task import fitted_task
 from emps_design.control.impedance.law import impedance_law
+from emps_design.control.sampled import worst_loop
 from emps_design.machines import machine
 
 BELT = machine("emps2018").replace(
@@ -93,3 +94,23 @@ def test_twice_the_mass_is_singular_in_the_printed_law_alone(name, mass, capsys)
     assert run(["impedance", name, "--mass", str(mass), "--damping", "500"]) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if "(30) as printed" in line)
     assert row.count("undefined") == 3
+
+
+@pytest.mark.parametrize(
+    ("effect", "mass", "damping"),
+    [
+        ({"kind": "flexible_coupling", "frequency": 80.0, "damping": 0.05, "share": 0.1}, 30.0, 300.0),
+        ({"kind": "stribeck_friction", "excess": 5.0, "stribeck_velocity": 0.1, "exponent": 2.0}, 60.0, 100.0),
+    ],
+)
+def test_effects_and_wrong_estimates_together_decide(effect, mass, damping):
+    """Neither the effect with exact estimates nor estimates off by 20 % on the rigid axis are unstable."""
+    axis = machine("emps2018").replace(effects=[effect])
+    assert assess_impedance(axis, mass, damping).poles_stable
+    assert assess_impedance(axis.replace(effects=[]), mass, damping, 0.2, plants=0).poles_stable
+    both = assess_impedance(axis, mass, damping, 0.2, plants=0)
+    assert (both.verdict, worst_loop(both.loops).margins.stable) == ("unstable", False)
+    assert both.reason.startswith("unstable: at a corner of +-20 % a pole reaches modulus 1.00")
+    proposed = assess_impedance(axis, **(both.nearest or {}), mismatch=0.2, plants=0)
+    assert proposed.stable
+    assert worst_loop(proposed.loops).margins.stable
