@@ -281,8 +281,9 @@ def _exact_delay(
 
 
 def _sine(value: np.ndarray) -> np.ndarray:
-    """Sine of the phase: zero on the real axis and free of the magnitude's range."""
-    return value.imag / np.abs(value)
+    """Sine of the phase: zero on the real axis and at a zero of the loop, and free of the magnitude's range."""
+    size = np.abs(value)
+    return np.divide(value.imag, size, out=np.zeros_like(size), where=size > 0.0)
 
 
 def _keep_smallest(

@@ -18,6 +18,7 @@ import numpy as np
 
 from emps_design.advice import SAFE_GAIN_MARGIN, SAFE_PHASE_MARGIN_DEG, where_in_words
 from emps_design.axis import Axis
+from emps_design.control.linear_plant import linear_plant
 from emps_design.control.sampled import (
     VELOCITY_LOOP,
     NestedLoop,
@@ -75,6 +76,11 @@ class Case:
         """:attr:`loops` without the delay margins that take long; enough for a verdict."""
         return self._loops(delay_margins=False)
 
+    @property
+    def backward(self) -> Case:
+        """The same machine in the other direction."""
+        return replace(self, velocity=-self.velocity, where={**self.where, "velocity": -self.velocity})
+
     def _loops(self, delay_margins: bool) -> tuple[NestedLoop, ...]:
         loops = nested_loops(self.axis, self.velocity, self.delay, delay_margins)
         return tuple(replace(loop, where=self.where) for loop in loops)
@@ -98,21 +104,32 @@ def cases_of(
     """Return the machines that the controller of ``axis`` runs on, the nominal axis first.
 
     An axis with effects is included at -``velocity`` [m/s] too. ``span`` adds the loads of a range, its ends and
-    several in between; ``errors`` the corners of these relative errors of the parameters.
+    several in between; ``errors`` the corners of these relative errors of the parameters. They are tried in both
+    directions if the effects differ in them.
 
     >>> from emps_design.machines import machine
     >>> [dict(case.where) for case in cases_of(machine("emps2019"), errors={"mass": 0.1})]
     [{}, {'mass': -0.1}, {'mass': 0.1}]
     """
-    cases = [Case(axis, velocity)]
-    if axis.effects:
-        cases.append(Case(axis, -velocity, where={"velocity": -velocity}))
+    here, others = Case(axis, velocity), []
     for point in span.points(span.enough) if span is not None else ():
         where = where_of(point)
         if where:
-            cases.append(Case(loaded(axis, point["inertia"], point["compliance"]), velocity, point["delay"], where))
-    off = corners(errors) if errors else []
-    return (*cases, *(Case(with_errors(axis, shares), velocity, where=shares) for shares in off))
+            others.append(Case(loaded(axis, point["inertia"], point["compliance"]), velocity, point["delay"], where))
+    others += [
+        Case(with_errors(axis, shares), velocity, where=shares) for shares in (corners(errors) if errors else ())
+    ]
+    if not axis.effects:
+        return (here, *others)
+    back = [case.backward for case in (here, *(others if _differs_backward(axis, velocity) else ()))]
+    return (here, back[0], *others, *back[1:])
+
+
+def _differs_backward(axis: Axis, velocity: float) -> bool:
+    """Whether the linear plant of ``axis`` at -``velocity`` [m/s] is another than at ``velocity``."""
+    there, back = linear_plant(axis, velocity), linear_plant(axis, -velocity)
+    pairs = [(getattr(there, name), getattr(back, name)) for name in ("A", "B", "C", "delay")]
+    return not all(np.allclose(one, other, rtol=1e-6, atol=0.0) for one, other in pairs)
 
 
 def worst_loop_of(axis: Axis) -> NestedLoop:
@@ -281,11 +298,14 @@ class DesignVerdict:
         """The loops on the machine that differs from the axis by ``where``."""
         return [loop for case in self.cases if case.where == where for loop in case.loops]
 
-    @property
+    @cached_property
     def _corners(self) -> list[NestedLoop]:
-        """The worst loop at each corner of ``errors``."""
-        count = len(corners(self.errors)) if self.errors else 0
-        return [worst_loop(case.judged) for case in self.cases[len(self.cases) - count :]]
+        """The worst loop at each corner of ``errors``, in either direction."""
+        loops: dict[tuple[float, ...], list[NestedLoop]] = {}
+        for case in self.cases:
+            if self.errors and case.where.keys() >= self.errors.keys():
+                loops.setdefault(tuple(case.where[name] for name in self.errors), []).extend(case.judged)
+        return [worst_loop(of_corner) for of_corner in loops.values()]
 
     @property
     def worst_corner(self) -> NestedLoop:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from emps_design.control.margins import loop_margins
 from emps_design.control.sampled import axis_loop, nested_loops
 from emps_design.control.velocity.design import VelocityLoopDesign
 from emps_design.control.velocity.gains import PI
@@ -57,3 +58,9 @@ def test_retune_promises_no_margin_that_a_narrow_notch_takes():
     works = refused.value.nearest
     found = retune_velocity_loop(AXIS, **works, filters=(notch(),))
     assert least_phase(found.sampled.plant_input_response, 75.4) == pytest.approx(works["phase_margin_deg"], abs=0.2)
+
+
+def test_a_loop_that_is_zero_where_it_turns_real_has_its_margins():
+    """At 1 rad/s the loop passes through 0, which is where a search for its crossing of the real axis lands."""
+    margins = loop_margins(lambda w: (w - 1.0) * (1.0 + 0.5j) / (1j * w) ** 4, np.array([0.25, 4.0, 64.0]), stable=True)
+    assert margins.gain_margin is None

@@ -215,3 +215,49 @@ def test_an_unstable_worst_loop_is_not_safe_though_nothing_else_says_so():
     worst = NestedLoop("whole loop", "plant input", Margins(stable=False)).to_dict()
     advice = advise("margins", {"axis": "servo", "worst_loop": worst, "warnings": []})
     assert (advice.level, advice.text) == ("caution", "the whole loop is unstable")
+
+
+# A slow drive in per cent with a lag of 40 ms, whose friction is less steep the other way.
+UNEVEN = Axis.from_dict(
+    {
+        "name": "uneven",
+        "mechanics": {"mass": 266.0, "viscous": 1160.0, "coulomb": 5.0},
+        "drive": {"command": "torque", "command_unit": "%", "force_gain": 110.0, "current_time_constant": 0.04},
+        "sampling": {"period": 1e-2, "computation_delay": 1},
+        "controller": {"kind": "cascade", "position": {"kp": 1.35}, "velocity": {"kp": 100.0, "ti": 0.237}},
+        "effects": [{"kind": "asymmetric_viscous_friction", "viscous_difference": 400.0}],
+    }
+)
+
+
+def largest_pole(mass, viscous, gain):
+    """Of the loop of UNEVEN, from its difference equations and the exact motion of mass and lag over a period."""
+    T, lag, kp, ti, position = 1e-2, 0.04, 100.0, 0.237, 1.35
+    motion = np.array([[0.0, 1.0, 0.0], [0.0, -viscous / mass, 1.0 / mass], [0.0, 0.0, -1.0 / lag]])
+    values, vectors = np.linalg.eig(motion)
+    grown = np.where(values == 0.0, T, np.expm1(values * T) / np.where(values == 0.0, 1.0, values))
+    moved = (vectors * np.exp(values * T)) @ np.linalg.inv(vectors)
+    driven = (vectors * grown) @ np.linalg.inv(vectors) @ np.array([0.0, 0.0, gain / lag])
+    step = np.zeros((6, 6))  # of q, v, force, q[k-1], the integral and the command of the sample before
+    step[:3, :3], step[:3, 5], step[3, 0] = moved, driven, 1.0
+    error = np.array([-position - 1.0 / T, 0.0, 0.0, 1.0 / T, 0.0, 0.0])
+    integral = kp * T / ti * error + np.eye(6)[4]
+    step[4], step[5] = integral, kp * error + integral
+    return float(np.abs(np.linalg.eigvals(step)).max())
+
+
+def test_wrong_parameters_and_loads_are_judged_in_both_directions():
+    """The corner that is unstable is so at -0.1 m/s alone; the forward corners and the axis itself are stable."""
+    off, forward, backward = 0.1, 1160.0 + 400.0, 1160.0 - 400.0
+    corners = [(m, v, g) for m in (1 - off, 1 + off) for v in (1 - off, 1 + off) for g in (1 - off, 1 + off)]
+    assert max(largest_pole(266.0, viscous, 110.0) for viscous in (forward, backward)) < 1.0
+    ahead = [largest_pole(266.0 * m, 1160.0 * v + 400.0, 110.0 * g) for m, v, g in corners]
+    back = [largest_pole(266.0 * m, 1160.0 * v - 400.0, 110.0 * g) for m, v, g in corners]
+    assert max(ahead) < 1.0 < max(back)
+    found = controller_margins(UNEVEN, mismatch=off)
+    assert controller_margins(UNEVEN).stable
+    assert (found.stable, found.worst.where["velocity"]) == (False, -0.1)
+    loops = [case.judged for case in cases_of(UNEVEN, errors=dict.fromkeys(("mass", "viscous", "force_gain"), off))]
+    assert sum(not all(loop.margins.stable for loop in case) for case in loops) == sum(pole > 1.0 for pole in back)
+    heavier = cases_of(UNEVEN, span=LoadRange(inertia=(1.0, 2.0)))
+    assert [dict(case.where) for case in heavier][-1] == {"inertia": 2.0, "velocity": -0.1}
