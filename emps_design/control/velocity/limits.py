@@ -13,6 +13,7 @@ holds for the loop broken at the velocity error.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -189,7 +190,8 @@ def bandwidth_gains(
     """Return k_v1 [V/(m/s)] and t_v [s] of the sampled loops with that -3 dB ``bandwidth`` [rad/s], NaN for none.
 
     With rising crossover the bandwidth first rises and then falls, since the plant's lag leaves ever less phase for the
-    integral action; the slowest stable loop with that bandwidth is taken. Arrays (n,).
+    integral action. The slowest stable loop of those whose bandwidth rises is taken, of the others if there is none.
+    Arrays (n,).
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2018"))
@@ -213,18 +215,19 @@ def bandwidth_gains(
     grid = lowest[inside, None] * (highest[inside] / lowest[inside])[:, None] ** shares
     excess = over(grid, B[inside, None], phase[inside, None])
     rising = (excess[:, :-1] < 0.0) & (excess[:, 1:] >= 0.0)
-    for turn in range(1, 4):  # the first crossing whose loop is stable
-        here = rising & (np.cumsum(rising, axis=1) == turn)
+    falling = (excess[:, :-1] >= 0.0) & (excess[:, 1:] < 0.0)
+    for way, turn in itertools.product((rising, falling), range(1, 4)):  # the first crossing whose loop is stable
+        here = way & (np.cumsum(way, axis=1) == turn)
         rows, places = np.nonzero(here)
         todo = np.isnan(k_found[inside[rows]])
         rows, places = rows[todo], places[todo]
         if not rows.size:
-            break
+            continue
         who = inside[rows]
         low, high = grid[rows, places], grid[rows, places + 1]
         for _ in range(50):
             middle = np.sqrt(low * high)
-            below = over(middle, B[who], phase[who]) < 0.0
+            below = (over(middle, B[who], phase[who]) < 0.0) == (way is rising)
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         k_v1, t_v = retuned_gains(plant, high, phase[who], at)
         good = sweep_stability(plant, k_v1, t_v)

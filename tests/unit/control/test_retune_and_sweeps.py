@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from emps_design.axis import Axis
 from emps_design.control.discretisation import sample_axis
 from emps_design.control.linear_plant import ActuatorMap
 from emps_design.control.velocity.design import design_velocity_loop, encoder_voltage_noise, largest_velocity_step
@@ -218,3 +219,22 @@ def test_encoder_noise_against_a_run():
     found = encoder_voltage_noise(AXIS, design.sampled)
     assert found["rms"] == pytest.approx(np.std(voltage[200:]), rel=0.02)
     assert found["one_step"] == pytest.approx(design.k_v1 * (1 + T / design.t_v) * resolution / (2 * T))
+
+
+def test_a_bandwidth_that_only_falls_with_the_crossover_is_met():
+    """Braking makes the loop fast at any positive gain: the only gains for 1.4 rad/s have little integral action."""
+    axis = Axis.from_dict(
+        {
+            "name": "wheel",
+            "motion": "rotary",
+            "mechanics": {"mass": 0.104, "viscous": 0.079, "coulomb": 0.006},
+            "drive": {"command": "duty", "force_gain": 0.0232, "supply": 24.0, "back_emf": 6.84},
+            "sampling": {"period": 1e-2},
+            "controller": {"kind": "none", "velocity_estimator": "backward"},
+        }
+    )
+    design = retune_velocity_loop(axis, bandwidth=1.42, phase_margin_deg=60.0, filters=["notch:9.62Hz:0.5:0.1"])
+    margins = design.sampled.margins
+    assert design.sampled.bandwidth == pytest.approx(1.42, rel=1e-6)
+    assert margins.phase_margin_deg == pytest.approx(60.0)
+    assert margins.gain_margin > 10.0
