@@ -499,13 +499,18 @@ def gains_document(design: VelocityLoopDesign, verdict: DesignVerdict | None = N
         for point in study["points"]:
             point["loops"] = [loop.to_dict() for loop in verdict.at(where_of(point))]
     if verdict.errors is not None:
-        document["mismatch"] = study = margins_under_mismatch(design, verdict.errors)
-        study["stable_share"] = share = verdict.stable_share
-        study["worst_loop"] = verdict.worst_corner.to_dict()
+        document["mismatch"] = mismatch_document(verdict)
+        share = document["mismatch"]["stable_share"]
         if share < 1.0:
             text = f"unstable at {100 * (1 - share):.3g} % of the mismatch corners"
             document["warnings"].append(grave("unstable-at-corners", text, share=1 - share))
     return document
+
+
+def mismatch_document(verdict: DesignVerdict) -> dict[str, Any]:
+    """The velocity loop over the corners of the errors of ``verdict``; of all loops the stable share and the worst."""
+    whole = {"stable_share": verdict.stable_share, "worst_loop": verdict.worst_corner.to_dict()}
+    return margins_under_mismatch(verdict.design, verdict.errors or {}) | whole
 
 
 def kept_position_loop(design: VelocityLoopDesign) -> dict[str, Any]:

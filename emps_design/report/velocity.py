@@ -43,13 +43,13 @@ def gains_section(velocity: VelocityLoopDesign, verdict: DesignVerdict) -> Secti
 
     The warnings are in the summary of the page.
     """
-    from emps_design.control.velocity.load_range import margins_under_mismatch, relative_mismatch
-    from emps_design.control.verdict import gains_document
+    from emps_design.control.velocity.load_range import relative_mismatch
+    from emps_design.control.verdict import gains_document, mismatch_document
     from emps_design.control.view import gains_view, mismatch_view
 
     units = velocity.axis.units
     document = gains_document(velocity, verdict) | {"warnings": []}
-    off = margins_under_mismatch(velocity, relative_mismatch(MISMATCH))
+    off = mismatch_document(replace(verdict, errors=relative_mismatch(MISMATCH)))
     loop, place = ("sampled", velocity.retuned_at) if velocity.retuned_at else ("ideal", "velocity-error")
     return Section(
         "Gains and margins",

@@ -16,12 +16,15 @@ from emps_design.control.force import design_force_loop
 from emps_design.control.margins import Margins
 from emps_design.control.sampled import NestedLoop, nested_loops, safety, worst_loop
 from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
-from emps_design.control.velocity.load_range import LoadRange, loaded
+from emps_design.control.velocity.gains import PI
+from emps_design.control.velocity.load_range import LoadRange, loaded, margins_under_mismatch, relative_mismatch
 from emps_design.control.verdict import DesignVerdict, cases_of
 from emps_design.errors import UnstableError
 from emps_design.machines import machine
+from emps_design.report.velocity import gains_section
 from emps_design.simulation import Plant
 from emps_design.simulation.scenarios import follow
+from emps_design.view import Line
 
 # A ball screw whose position loop was made for a velocity loop four times as fast as the one asked for below.
 SCREW = Axis.from_dict(
@@ -261,3 +264,16 @@ def test_wrong_parameters_and_loads_are_judged_in_both_directions():
     assert sum(not all(loop.margins.stable for loop in case) for case in loops) == sum(pole > 1.0 for pole in back)
     heavier = cases_of(UNEVEN, span=LoadRange(inertia=(1.0, 2.0)))
     assert [dict(case.where) for case in heavier][-1] == {"inertia": 2.0, "velocity": -0.1}
+
+
+def test_the_page_counts_the_corners_of_all_loops():
+    """Two per cent off, the velocity loop is stable at every corner, the cascade around it is not."""
+    steep = UNEVEN.replace(controller={"velocity": {"kp": 110.0, "ti": 0.237}})
+    design = VelocityLoopDesign(steep, 110.0, 0.237, {}, structure=PI)
+    corners = relative_mismatch(0.02)
+    assert margins_under_mismatch(design, corners)["stable_share"] == 1.0
+    assert DesignVerdict(design).stable
+    share = DesignVerdict(design, errors=corners).stable_share
+    assert 0.0 < share < 1.0
+    lines = [block.text for block in gains_section(design, DesignVerdict(design)).blocks if isinstance(block, Line)]
+    assert [line for line in lines if line.startswith(f"stable at {100 * share:.4g} % of the corners; worst: position")]
