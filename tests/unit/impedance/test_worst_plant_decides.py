@@ -96,6 +96,7 @@ def test_twice_the_mass_is_singular_in_the_printed_law_alone(name, mass, capsys)
     assert row.count("undefined") == 3
 
 
+@pytest.mark.usefixtures("few_estimates")
 @pytest.mark.parametrize(
     ("effect", "mass", "damping"),
     [
