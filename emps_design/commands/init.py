@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, ClassVar
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import ANYTHING, ARCHIVE, AXIS, TABLE, check_folder, make_folder
-from emps_design.commands.options import LOOKING
 from emps_design.errors import InputError
 from emps_design.files import write_text, write_together
 from emps_design.inputs import axis_option
 from emps_design.messages import warning
+from emps_design.progress import LOOKING
 from emps_design.request import Request, option
 from emps_design.view import Line
 

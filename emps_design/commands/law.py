@@ -8,11 +8,11 @@ from pathlib import Path
 from emps_design.axis import Axis
 from emps_design.commands import Reply
 from emps_design.commands.destinations import CONTROLLER
-from emps_design.commands.options import LOOKING
 from emps_design.errors import InputError
 from emps_design.files import write_text
 from emps_design.inputs import read_axis, read_record
 from emps_design.laws import NONE
+from emps_design.progress import LOOKING
 from emps_design.records import Record
 from emps_design.request import Request, option
 

@@ -35,7 +35,6 @@ def _ends(text: str) -> tuple[float, float]:
     return low, high
 
 
-LOOKING = "looking for the controller that made the record"  # the stage that law and init --from show
 RANGE: dict[str, Any] = {"parse": _ends, "metavar": "LOW:HIGH", "typed": str | None}
 
 

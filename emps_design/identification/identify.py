@@ -52,6 +52,7 @@ from emps_design.identification.result import (
 from emps_design.laws import NONE
 from emps_design.messages import Message, note, warning
 from emps_design.observer import with_acting_command
+from emps_design.progress import LOOKING
 from emps_design.records import Record
 from emps_design.request import takes
 
@@ -238,6 +239,7 @@ def _identified(record: Record, axis: Axis, request: IdentificationRequest) -> I
     estimate = BY[request.estimator]
     if not request.simulates or axis.controller.kind != NONE or not record.has_reference or len(record) > LONG:
         return estimate(record, axis, request)
+    request.progress(LOOKING, 0.0)
     with_law, remark = with_own_law(record, axis)
     identification = estimate(record, with_law or axis, request)
     # The axis keeps its own controller table: the command `law` writes the identified one.

@@ -53,6 +53,7 @@ from emps_design.identification.controller.wording import (
     unlike,
 )
 from emps_design.records import Record
+from emps_design.threads import one_thread
 from emps_design.units import LINEAR, Units
 
 ROUNDS = 12
@@ -129,9 +130,7 @@ def identify_law(records: Record | Sequence[Record], units: Units = LINEAR) -> L
     >>> estimate.verdict, law["kind"], round(law["kp"], 1), round(law["kv"], 1)
     ('told', 'position_pd', 50.0, 40.0)
     """
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):  # the matrices here are tall and thin: BLAS threads would only spin
+    with one_thread():
         return _identified([records] if isinstance(records, Record) else _checked_records(records, units), units)
 
 

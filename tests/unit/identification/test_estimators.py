@@ -210,3 +210,9 @@ def test_estimators_agree_on_a_noisy_record(record):
 def test_two_records_tell_no_drift(simulate):
     rows = identify_several([simulate(0), simulate(1)], AXIS, filter="hold", cutoff=30.0).table()
     assert {(row["drift"], row["drift_p_value"], row["drift_significant"]) for row in rows} == {(None, None, False)}
+
+
+def test_the_search_for_the_controller_is_reported(record):
+    stages = []
+    identify(record, AXIS.replace(controller={"kind": "none"}), progress=lambda stage, share: stages.append(stage))
+    assert stages == ["looking for the controller that made the record"]
