@@ -510,6 +510,16 @@ def advise(
     return (report if name == "report" else JUDGES[name])(document, command_line)
 
 
+def advised(name: str, document: Mapping[str, Any], units: Units = LINEAR) -> dict[str, Any]:
+    """Return the ``document`` of the command ``name`` with its advice, as its result gives it without a command line.
+
+    >>> document = {"axis": "servo", "record": "r", "parameters": {"mass": {"value": 2.0}}, "warnings": []}
+    >>> advised("identify", document)["advice"]["next"]
+    'emps-design identify r --axis servo --out identified.toml'
+    """
+    return {**document, "advice": advise(name, document, units=units).to_dict()}
+
+
 def advise_on_error(
     name: str, status: int, reason: str, nearest: Mapping[str, Any], words: Sequence[str] = ()
 ) -> Advice:

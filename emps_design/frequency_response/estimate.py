@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from emps_design.advice import advised
 from emps_design.axis import Axis
 from emps_design.errors import RecordError
 from emps_design.frequency_response.answers import Distortion, Extra, broadband_answers, periodic_answer, stepped_answer
@@ -153,7 +154,7 @@ class ResponseEstimate(Viewed):
         """Plain data: the table, the comparison, the method and its figures."""
         ratio = self.spectral_ratio
         apart = np.abs(ratio / self.response.response - 1.0)
-        return {
+        document = {
             "records": self.response.name,
             "method": self.method,
             "instrument": self.instrument,
@@ -176,6 +177,7 @@ class ResponseEstimate(Viewed):
             "units": {"frequency_hz": "Hz", "magnitude": self.axis.units.unit("(m/s)/N"), "std": "of the modulus"},
             "warnings": list(self.all_warnings),
         }
+        return advised("frf", document, self.axis.units)
 
     def view(self) -> View:
         """The method, some lines of the response, its resonances, the masses that fit it, and its distortion."""
@@ -409,6 +411,12 @@ def _estimate(
     count, most = (sum(map(np.count_nonzero, several)) for several in ([kept for *_, kept in parts], masks))
     name = ", ".join(record.name for record in records)
     if count < 4:
+        few = max(run.few_lines for run in signals)
+        if few:
+            raise RecordError(
+                f"{name}: found {few} line{'' if few == 1 else 's'} in the {signals[0].kind}, expected at least 4, or "
+                "a band; excite more frequencies, in whole periods of all of them"
+            )
         raise RecordError(
             f"{name}: found {count} of {most} lines on which the {signals[0].kind} stands out of "
             "the noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"

@@ -16,6 +16,7 @@ noise, so the frequency of each run, and the number of samples after which it re
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -42,6 +43,7 @@ WHOLE_PERIODS = 1e-5  # of a period, by which a block may miss whole periods
 SETTLING = 5  # the first of so many parts of a step is for the loop to settle
 FEWEST_LINES = 4  # different lines, or one
 MOST_OF_A_RUN = 1 << 16  # samples of a run that are tested for a sine
+NARROW, BESIDE = 1e-3, 4  # of the strongest line, power of one that counts; bins on either side that belong to it
 
 EXCITATION, REFERENCE, COMMAND = INSTRUMENTS = ("excitation", "reference", "command")
 SAME = 1e-3  # share of its power by which one period may differ from the next
@@ -251,6 +253,23 @@ class Signals:
         return step_before_rounding(self.dq)
 
     @property
+    def few_lines(self) -> int:
+        """Number of lines that hold nearly all power of the instrument, 0 where it is more than a few.
+
+        >>> t = np.arange(5000.0)
+        >>> lines = np.sin(0.0113 * t) + np.sin(0.2117 * t)
+        >>> silent = np.zeros(t.size)
+        >>> Signals("r", EXCITATION, lines, silent, silent, 1e-3, 0, ((0, 5000),), silent).few_lines
+        2
+        """
+        start, stop = max(self.stretches, key=lambda run: run[1] - run[0])
+        r = self.r[start:stop]
+        power = np.abs(scipy.fft.rfft((r - np.mean(r)) * np.hanning(r.size))) ** 2
+        clear = stretches(power > NARROW * np.max(power))
+        inside = sum(float(np.sum(power[max(a - BESIDE, 0) : b + BESIDE])) for a, b in clear)
+        return len(clear) if len(clear) < FEWEST_LINES and inside > (1.0 - PURE) * np.sum(power) else 0
+
+    @property
     def used(self) -> np.ndarray:
         """Mask (n,) of the samples in a stretch."""
         used = np.zeros(self.r.size, dtype=bool)
@@ -284,12 +303,13 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
         )
     dq = np.diff(record.q, prepend=record.q[:1])
     steps = steps_of(r) if instrument != COMMAND else ()
-    repeats = 0
+    repeats, runs = 0, [(step.start, step.stop) for step in steps]
     if instrument != COMMAND and not steps:
-        repeats = _period_of(r, bias if instrument == EXCITATION else None)
-    runs = [(step.start, step.stop) for step in steps] or _stretches(r, bias, repeats, instrument)
-    if repeats and not runs:  # it repeats from pass to pass only
-        repeats, runs = 0, _stretches(r, bias, 0, instrument)
+        for lag in _periods_of(r, bias if instrument == EXCITATION else None):
+            if runs := _stretches(r, bias, lag, instrument):
+                repeats = lag
+                break
+    runs = runs or _stretches(r, bias, 0, instrument)  # without a period, or one from pass to pass only
     if len(record.pieces) > 1:
         runs, steps = _within(runs, steps, record.pieces, 2 * repeats or FEWEST)
         if not runs:
@@ -328,11 +348,14 @@ def _reference_increments(record: Record) -> np.ndarray:
     return np.zeros(len(record))
 
 
-def _period_of(r: np.ndarray, bias: np.ndarray | None) -> int:
-    """Period of ``r`` [samples], the shortest with which at least two periods in a row agree; 0 for none."""
+def _periods_of(r: np.ndarray, bias: np.ndarray | None) -> Iterator[int]:
+    """Periods [samples] with which at least two of ``r`` in a row agree, the shortest first.
+
+    The jerk of a reference may repeat earlier than its slow lines do.
+    """
     active = np.flatnonzero(np.abs(r - np.median(r)) > 0.0)
     if active.size < 2 * SHORTEST:
-        return 0
+        return
     part = r[active[0] : active[-1] + 1][:LOOKED_AT]
     # A reference advances, and accelerates evenly: its jerk shows what repeats.
     part = np.diff(part, 2) if bias is None else part - np.mean(part)
@@ -345,7 +368,9 @@ def _period_of(r: np.ndarray, bias: np.ndarray | None) -> int:
     overlap = np.arange(part.size, 0, -1) / part.size
     even = correlation[overlap > 0.1] / correlation[0] / overlap[overlap > 0.1]
     peaks = scipy.signal.find_peaks(even, height=CORRELATED)[0]
-    return next((int(lag) for lag in peaks[peaks >= SHORTEST][:CANDIDATES] if _repeats_after(limited, int(lag))), 0)
+    for lag in peaks[peaks >= SHORTEST][:CANDIDATES].tolist():
+        if _repeats_after(limited, lag):
+            yield lag
 
 
 def _repeats_after(part: np.ndarray, lag: int) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.advice import advised
 from emps_design.axis import Axis, Mechanics
 from emps_design.effects import Motion
 from emps_design.errors import InputError, RecordError
@@ -177,13 +178,14 @@ class Observation(Viewed):
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's ``observe --json``."""
-        return {
+        document = {
             "record": self.record,
             "sha256": self.sha256,
             "axis": self.axis,
             **{name: result.to_dict() for name, result in self.methods.items()},
             "warnings": list(self.warnings),
         }
+        return advised("observe", document, self.units)
 
     def view(self) -> View:
         """Delay of each method, its errors against a known force, and the smallest force that it shows."""

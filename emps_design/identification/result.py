@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.advice import advised
 from emps_design.axis import Axis, Mechanics
 from emps_design.effects.terms import TERMS
 from emps_design.errors import AxisError, InputError, nearest_name
@@ -235,7 +236,7 @@ class Identification(Viewed):
 
     def to_dict(self) -> dict[str, Any]:
         """The contract's ``identify --json``, with some more keys."""
-        return {
+        document = {
             "record": self.record,
             "sha256": self.sha256,
             "axis": self.axis.name,
@@ -252,6 +253,7 @@ class Identification(Viewed):
             **self.extra,
             "warnings": list(self.warnings),
         }
+        return advised("identify", document, self.axis.units)
 
     def view(self) -> View:
         """Parameters of one record with their deviations, what these hold, and how the record was read."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from emps_design.advice import advised
 from emps_design.axis import Axis
 from emps_design.effects.terms import TERMS
 from emps_design.errors import AxisError, InputError
@@ -165,7 +166,7 @@ class SeveralIdentifications(Viewed):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI."""
-        return {
+        document = {
             "records": list(self.records),
             "model": self.model,
             "estimator": self.estimator,
@@ -178,6 +179,7 @@ class SeveralIdentifications(Viewed):
             "identifications": [identification.to_dict() for identification in self.identifications],
             "warnings": list(self.warnings),
         }
+        return advised("identify", document, self.axis.units)
 
 
 @takes(IdentificationRequest)

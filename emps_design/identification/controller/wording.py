@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from emps_design.advice import advised
 from emps_design.identification.controller.best_law import AS_GOOD, BestLaw, command_of
 from emps_design.identification.controller.fit import LawFit, covariance, fit, with_deviations
 from emps_design.identification.controller.regressors import ControllerSignals, estimator_table, regressors, sought
@@ -78,7 +79,7 @@ class LawEstimate(Viewed):
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data."""
-        return {
+        document = {
             "record": self.record,
             "verdict": self.verdict,
             "reason": self.reason,
@@ -98,6 +99,7 @@ class LawEstimate(Viewed):
             "notes": list(self.notes),
             "warnings": [],
         }
+        return advised("law", document)
 
     def view(self) -> View:
         """What a terminal and a notebook show: the verdict, the table, its numbers, and the compared structures."""
