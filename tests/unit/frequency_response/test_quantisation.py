@@ -38,6 +38,20 @@ def test_no_step_where_there_is_none():
     assert quantisation_step(np.diff(np.sin(np.arange(5000) / 1000) + noise)) == 0.0
 
 
+@pytest.mark.parametrize("levels", [[0.0, 1.0], [-1.0, 0.0, 1.0]])
+def test_levels_with_noise_are_no_steps(levels):
+    """A relay's command or two constant speeds: few levels, evenly spaced as levels are, and each with its noise."""
+    rng = np.random.default_rng(4)
+    clusters = rng.choice(levels, 3000) + 3e-3 * rng.standard_normal(3000)
+    assert quantisation_step(clusters) == 0.0
+    assert quantisation_step(rng.choice(levels, 3000)) == 1.0
+
+
+def test_slow_motion_in_single_precision_has_the_encoders_step():
+    q = 1.5e-3 * np.rint(np.cumsum(np.full(20_000, 0.31)))
+    assert quantisation_step(np.diff(q.astype(np.float32).astype(float))) == pytest.approx(1.5e-3, rel=1e-3)
+
+
 @pytest.mark.parametrize("ratio", [3.3, 8.797, 31.416])
 def test_the_step_is_the_encoders_and_not_that_of_the_digits_of_a_file(ratio):
     """Of steps that are no multiple of the last digit, the digits alone are a step of all increments."""
