@@ -62,7 +62,7 @@ def answer(request: ImportRequest) -> Reply:
     from emps_design.importing import import_record
     from emps_design.importing.account import Account
 
-    record = import_record(request.file, request.axis, resample=True, window=request.window)
+    record = import_record(request.file, request.axis, window=request.window)
     account = Account(record, request.axis)
     view = account.view()
     if request.out is not None:

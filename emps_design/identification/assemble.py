@@ -430,12 +430,12 @@ def known_near_rest_only(problem: Regression) -> tuple[str, ...]:
 
 
 def _reliability(problem: Regression) -> list[float | None]:
-    """Reliability of each column by the same chain on the reference; None where the motion does not follow it.
+    """Reliability of each column by the same chain on the reference; None without one that the motion follows.
 
     Only for mass and friction, whose columns are derivatives and hold noise; None for terms beside them.
     """
     part, names = first_part(problem.record), problem.names
-    if not follows(part):
+    if not (part.has_reference and follows(part)):
         return [None] * len(names)
     if problem.model.terms:
         filtered = problem.filtered

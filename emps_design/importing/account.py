@@ -230,7 +230,7 @@ def read_trace(path: str | Path) -> Trace:
     """Read the trace at ``path`` without an axis file; raises :class:`RecordError` where it is no trace."""
     titles = read_titles(path)
     units = _units(titles)
-    layout = Layout(units, period=math.inf, resample=True, reference_needed=False)
+    layout = Layout(units, period=math.inf, reference_needed=False)
     whole = Trace(Path(path), tuple(titles), units)
     try:
         return replace(whole, record=read_record(path, layout=layout))

@@ -453,12 +453,12 @@ def with_contradictions(axis: Axis, record: Record) -> Record:
 
 @typed
 def import_record(
-    path: str | Path, axis: Axis, resample: bool = False, window: tuple[float, float] | None = None
+    path: str | Path, axis: Axis, resample: bool = True, window: tuple[float, float] | None = None
 ) -> Record:
     """Read the record at ``path`` by the ``[record]`` table of ``axis``, in SI units and the command unit of the axis.
 
-    Without a table, columns are recognised by their names or titles. Irregular time of an export, and with ``resample``
-    of any record, is resampled to the period of the axis. The ``warnings`` of the record say what was changed,
+    Without a table, columns are recognised by their names or titles. Irregular time is resampled to the period of the
+    axis, or refused without ``resample``. The ``warnings`` of the record say what was changed,
     ``assigned`` which column is which. ``window`` [s] reads a part of the file's time. Raises :class:`RecordError`, a
     message of one line, where a column is uncertain or the numbers cannot be of this axis.
     """

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.messages import Message, warning
+from emps_design.messages import Message, note, warning
 from emps_design.records.clock import GAP, Resampled, between_samples, held, no_gap, on_one_clock, steps_of
 from emps_design.records.columns import OPTIONAL
 from emps_design.records.layout import KEYS, LONGEST, NAMED, RECOGNISED, Assignment, Layout, assign
@@ -161,10 +161,10 @@ def check_columns(
             )
         if assignment.how == NAMED and assignment.factor != 1.0:
             text = f"{assignment.name}: converted from {assignment.unit} to {layout.unit(assignment.name)}"
-            notes.append(warning("converted-column", text, column=assignment.name, factor=assignment.factor))
+            notes.append(note("converted-column", text, column=assignment.name, factor=assignment.factor))
         elif assignment.how == RECOGNISED:
             text = f"{assignment.name}: taken from column {assignment.title!r} [{assignment.unit}]"
-            notes.append(warning("recognised-column", text, column=assignment.name))
+            notes.append(note("recognised-column", text, column=assignment.name))
     part = slice(0, n) if layout.window is None else _part(named["t"], layout.window, source)
     for column, values in named.items():
         _finite(values[part], column, layout.unit(column), source, first_row + part.start)
@@ -186,8 +186,7 @@ def check_columns(
         if layout.window is not None:  # copies, so that the block can be freed
             named = {name: values.copy() for name, values in named.items()}
         first_row, n = first_row + part.start, named["t"].size
-    exported = layout.resample or any(assignment.how != NAMED for assignment in assigned)
-    clock_period, clock_notes, resampled = on_one_clock(named, layout.period if exported else None, source, first_row)
+    clock_period, clock_notes, resampled = on_one_clock(named, layout.period, source, first_row, layout.resample)
     notes += clock_notes
     if resampled is not None:
         columns = {title: _held(values, named["t"], resampled) for title, values in columns.items()}
@@ -242,9 +241,9 @@ def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> t
         steps[0] = named["q"][0]
         named["q_ref"] = np.cumsum(steps)
         text = f"q_ref: {why}; the integral of velocity_reference from the first position stands for it"
-        return False, [*notes, warning("reference-from-velocity", text, column="q_ref")]
+        return False, [*notes, note("reference-from-velocity", text, column="q_ref")]
     named["q_ref"] = named["q"].copy()
-    return False, [*notes, warning("no-reference", f"q_ref: {why}; q itself stands for it", column="q_ref")]
+    return False, [*notes, note("no-reference", f"q_ref: {why}; q itself stands for it", column="q_ref")]
 
 
 def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
@@ -313,12 +312,12 @@ def _shift(
     notes = []
     for name, delay in late.items():
         text = f"{name}: read {1e3 * abs(delay):g} ms {'earlier' if delay > 0 else 'later'} than it was recorded"
-        notes.append(warning("delayed-column", text, column=name, delay=delay))
+        notes.append(note("delayed-column", text, column=name, delay=delay))
     for end, count in zip(("first", "last"), lost, strict=True):
         if count:
             many = f"the {end} {count} sample{'' if count == 1 else 's'}"
             text = f"{' and '.join(late)}: not recorded for {many}, left out"
-            notes.append(warning("ends-left-out", text, column=" and ".join(late), count=count))
+            notes.append(note("ends-left-out", text, column=" and ".join(late), count=count))
     return part, notes
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emps_design.errors import RecordError
-from emps_design.messages import Message, warning
+from emps_design.messages import Message, note, warning
 
 LARGEST_JITTER = 0.2  # of a period, up to which time is quantised and sampling regular
 NOTED_JITTER = 0.01
@@ -54,12 +54,12 @@ def steps_of(t: np.ndarray, source: str, first_row: int) -> tuple[float, np.ndar
 
 
 def on_one_clock(
-    signals: dict[str, np.ndarray], wanted: float | None, source: str, first_row: int
+    signals: dict[str, np.ndarray], wanted: float | None, source: str, first_row: int, resample: bool = True
 ) -> tuple[float, tuple[Message, ...], Resampled | None]:
     """The period [s] of ``signals`` by name, notes, and the signals resampled where their time is irregular.
 
-    Irregular time raises :class:`RecordError` without a ``wanted`` period. In the gaps of a record the signals are
-    interpolated linearly, and ``bridged`` is 1.
+    They get the ``wanted`` period [s], or their own; without ``resample`` irregular time raises :class:`RecordError`.
+    In the gaps of a record the signals are interpolated linearly, and ``bridged`` is 1.
     """
     t = signals["t"]
     typical, away = steps_of(t, source, first_row)
@@ -75,13 +75,12 @@ def on_one_clock(
     digit = _rounded_to(t, period)
     if digit:
         text = f"t: stamps rounded to {digit:g} s, taken as a sample every {period:.6g} s"
-        return period, (warning("rounded-time", text, column="t", digit=digit, period=period),), None
+        return period, (note("rounded-time", text, column="t", digit=digit, period=period),), None
     i = int(np.argmax(away > (LARGEST_JITTER * typical) ** 2))
-    if wanted is None:
+    if not resample:
         raise RecordError(
             f"{source}: column t, row {first_row + i + 1}: found a step of {t[i + 1] - t[i]:.6g} s, expected "
-            f"{typical:.6g} s as elsewhere; sampling must be uniform: import puts it on one clock, "
-            "and with `window` takes a part"
+            f"{typical:.6g} s as elsewhere; sampling must be uniform where it is not put on one clock"
         )
     del away
     bridges = _bridges(t, typical, source, first_row)
@@ -150,12 +149,12 @@ def _with_gaps(t: np.ndarray, gaps: np.ndarray, typical: float, source: str, fir
     )
 
 
-def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, bridges: np.ndarray) -> Resampled:
+def _resampled(signals: dict[str, np.ndarray], wanted: float | None, typical: float, bridges: np.ndarray) -> Resampled:
     """``signals`` on a uniform clock by linear interpolation: ``wanted`` [s], or their own period if far from it."""
     t = signals["t"]
     step = np.diff(t)
     mean = (float(t[-1] - t[0]) - float(step[bridges].sum())) / (step.size - bridges.size)
-    period = wanted if 0.5 <= wanted / mean <= 1.5 else nominal(float(f"{mean:.3g}"))
+    period = wanted if wanted and 0.5 <= wanted / mean <= 1.5 else _own_period(step, typical, mean)
     grid = np.arange(int(np.floor((t[-1] - t[0]) / period * (1 + 1e-12))) + 1) * period
     at = grid + t[0]
     new = {name: grid if name == "t" else between_samples(name, t, values, at) for name, values in signals.items()}
@@ -183,6 +182,19 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float, typical: float, br
         )
         notes.append(warning("time-gap", text, column="t", count=int(bridges.size)))
     return Resampled(new, period, tuple(notes), {name: values.copy() for name, values in signals.items()})
+
+
+def _own_period(step: np.ndarray, typical: float, mean: float) -> float:
+    """The period [s] of a clock that lost samples, whose steps (n,) [s] are multiples of it; else that of the ``mean``.
+
+    >>> step = np.repeat([1e-3, 2e-3], [95, 5])
+    >>> _own_period(step, 1e-3, float(step.mean())), _own_period(step + 4e-4 * np.sin(np.arange(100)), 1e-3, 1.051e-3)
+    (0.001, 0.00105)
+    """
+    count = np.rint(step / typical)
+    if np.max(np.abs(step - count * typical)) <= LARGEST_JITTER * typical:
+        return nominal(float(step.sum()) / float(count.sum()))
+    return nominal(float(f"{mean:.3g}"))
 
 
 def between_samples(name: str, t: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:

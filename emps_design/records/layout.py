@@ -112,15 +112,15 @@ KEYS = dict(zip(_IN_A_RECORD.split(), (key for key in ColumnMap.model_fields if 
 class Layout:
     """What a reader needs of the axis: its units, its ``[record]`` table, its clock.
 
-    An export with irregular time is resampled to ``period`` [s], a record of this package only with ``resample``;
-    ``window`` [s] reads a part of the file's time. ``reference_needed`` is False without a controller; ``limit`` is
-    that of the command, if known.
+    Irregular time is resampled to ``period`` [s], None for its own, or refused without ``resample``; ``window`` [s]
+    reads a part of the file's time. ``reference_needed`` is False without a controller; ``limit`` is that of the
+    command, if known.
     """
 
     units: Units = PLAIN
     columns: ColumnMap = field(default_factory=ColumnMap)
     period: float | None = None
-    resample: bool = False
+    resample: bool = True
     window: tuple[float, float] | None = None
     reference_needed: bool = True
     limit: float | None = None

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 
 from emps_design.errors import InputError, RecordError, one_line
-from emps_design.messages import Message, warning
+from emps_design.messages import Message, note
 from emps_design.records.archives import is_v5, is_v73, read_archive, read_v5, read_v73
 from emps_design.records.check import CUT, PLAIN, SHORTEST, check_columns
 from emps_design.records.columns import NAMES, RECORD, column_titles
@@ -118,7 +118,7 @@ def _read(file: BinaryIO, name: str, source: str, max_bytes: int, layout: Layout
     unmapped = all(assignment.how == NAMED for assignment in assigned)
     if columns.pop(RECORD, None) is None and layout.columns.named and unmapped:
         text = "read by the names of a record: it has none of the columns that [record] maps"
-        notes = (*notes, warning("read-by-names", text))
+        notes = (*notes, note("read-by-names", text))
     signals = check_columns(columns, source, first_row, layout=layout, assigned=assigned)
     if measured:
         signals["measured"] = {key.removeprefix(MEASURED): values for key, values in measured.items()}

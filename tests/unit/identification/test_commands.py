@@ -8,8 +8,10 @@ import pytest
 
 from emps_design.axis import Axis
 from emps_design.cli.app import run
+from emps_design.identification import identify, identify_several, observe
+from emps_design.identification.controller import identify_law
 from emps_design.machines import machine
-from emps_design.records import Record
+from emps_design.records import Record, read_record
 from emps_design.simulation import Plant
 from emps_design.simulation.synthetic import synthetic_record
 
@@ -180,3 +182,40 @@ def test_what_was_found_is_shown_even_where_it_is_no_machine(folder, tmp_path, c
     assert json.loads(printed.out)["parameters"]["coulomb"]["value"] < 0.0
     assert printed.err.strip().endswith("diagnose names it")
     assert not out.exists()
+
+
+@pytest.mark.parametrize("title", ["q", "q [mm]"])
+@pytest.mark.parametrize("command", ["identify", "observe"])
+def test_what_the_reader_did_as_the_file_says_is_no_reason_for_caution(folder, tmp_path, capsys, command, title):
+    """A reference that nobody needs is missing, and a unit is converted: both are said, and the result stands."""
+    day = synthetic_record(machine("emps2019"), laps=1, stroke=0.1)
+    path, axis = tmp_path / "day.csv", tmp_path / "axis.toml"
+    q = day.q * (1e3 if "mm" in title else 1.0)
+    np.savetxt(path, np.c_[day.t, q, day.u], delimiter=",", header=f"t,{title},u", comments="", fmt="%.12g")
+    axis.write_text(machine("emps2019").replace(controller={"kind": "none"}).to_toml())
+    assert run([command, str(path), "--axis", str(axis), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert "q_ref: not recorded; q itself stands for it" in document["warnings"]
+    assert document["advice"]["level"] == "safe", document["advice"]
+    if command == "identify":
+        assert {entry["reliability"] for entry in document["parameters"].values()} == {None}
+
+
+def test_python_has_the_document_of_the_command_with_its_advice(folder, capsys):
+    records = [read_record(folder / f"day{seed}.npz") for seed in range(2)]
+    axis = machine("emps2019")
+    results = {
+        "identify": [identify(records[0], axis), identify_several(records, axis)],
+        "observe": [observe(records[0], axis)],
+        "law": [identify_law(records[0])],
+    }
+    for command, given in results.items():
+        for result in given:
+            paths = [str(folder / f"{name}.npz") for name in ("day0", "day1")[: len(getattr(result, "records", "1"))]]
+            assert run([command, *paths, "--json"]) == 0
+            asked = json.loads(capsys.readouterr().out)
+            own = result.to_dict()
+            assert asked.keys() - {"out"} == own.keys()
+            assert {key: own["advice"][key] for key in ("level", "text")} == {
+                key: asked["advice"][key] for key in ("level", "text")
+            }

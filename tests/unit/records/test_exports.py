@@ -362,7 +362,7 @@ def jittered(gap=0.0):
 
 
 def test_irregular_time_is_resampled_and_what_that_costs_is_said():
-    record = read(jittered(), resample=True)
+    record = read(jittered())
     assert record.period == 1e-3
     t0 = record.measured["t"][0]
     away = np.abs(record.q - np.sin(6 * (record.t + t0)))
@@ -370,20 +370,20 @@ def test_irregular_time_is_resampled_and_what_that_costs_is_said():
     promised = float(note.split("rms) q ")[1].split(",")[0])
     assert 0 < np.sqrt(np.mean(away**2)) <= promised < 1e-5
     with pytest.raises(RecordError, match="sampling must be uniform"):
-        read(jittered())
+        read(jittered(), resample=False)
 
 
 def test_a_part_without_the_gap_is_read():
-    record = read(jittered(gap=0.1), resample=True, window=(0.0, 0.19))
+    record = read(jittered(gap=0.1), window=(0.0, 0.19))
     assert record.duration == pytest.approx(0.19, abs=2e-3)
     with pytest.raises(RecordError, match="column t: found .* s, expected some of it between 7 and 9 s"):
-        read(jittered(), resample=True, window=(7.0, 9.0))
+        read(jittered(), window=(7.0, 9.0))
 
 
 def test_a_record_with_gaps_is_taken_as_its_pieces_and_says_so(tmp_path):
     t = T + np.where(T > 0.1, 0.05, 0.0) + np.where(T > 0.25, 0.02, 0.0)
     text = "\n".join(["t;q;q_ref;u", *rows(t, np.sin(6 * t), np.sin(6 * t), np.cos(6 * t), digits=12)])
-    record = read(text, resample=True)
+    record = read(text)
     assert any(
         "nothing from 0.1 s to 0.151 s and in 1 more gaps, 0.072 s in all; taken as 3 pieces" in note
         for note in record.warnings
@@ -436,7 +436,7 @@ def test_what_is_missing_outside_the_part_does_not_matter(tmp_path, suffix):
 
 
 def test_the_original_times_are_kept_through_an_archive(tmp_path):
-    record = read(jittered(), resample=True)
+    record = read(jittered())
     record.save(tmp_path / "a.npz")
     again = record_from_bytes((tmp_path / "a.npz").read_bytes(), "a.npz", layout=layout())
     assert set(again.measured) == {"t", "q", "q_ref", "u"}
