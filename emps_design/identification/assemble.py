@@ -5,6 +5,10 @@ lacks and rests that the filter smears all move the estimate with the cut-off, w
 cut-off cannot show. The estimates share most of their noise, so the variance of their difference is the difference of
 their variances (J. A. Hausman, 1978); any change beyond that is added to the interval.
 
+The command between samples: a drive holds it until the next sample, unless the drive is faster than its record. Either
+moves inertia and friction against each other, by half a period of the record. The residual tells which it was; where it
+does not, the interval holds both.
+
 Plausibility: whether the parameters are physically possible and close to the axis file, and if not, the likely cause.
 """
 
@@ -97,6 +101,12 @@ class Solution:
         """Lag [rows] of the HAC covariance: four correlation times, at least 0.1 s."""
         lag = int(max(0.1, 4.0 * self.spread.correlation_time) / self.problem.filtered.period)
         return min(lag, len(self.problem.W) // 10)
+
+
+def evidence(own: Solution, other: Solution) -> float:
+    """Twice the log of the likelihood of ``other`` over that of ``own``, by their residuals: above 6 odds of 20 : 1."""
+    independent = min(own.spread.effective_samples, other.spread.effective_samples)
+    return 2.0 * independent * math.log(own.fit.rms_error / other.fit.rms_error)
 
 
 @dataclass(frozen=True)
@@ -254,12 +264,14 @@ class Errors:
     """Errors of an estimate besides chance, (p,) each, None where not computed; they are part of the intervals.
 
     ``systematic``: error of a chain that models neither hold nor rest (NaN: not determined away from rest).
-    ``encoder``: error by the encoder's steps. ``cutoff``: change at half and twice the cut-off.
+    ``encoder``: error by the encoder's steps. ``cutoff``: change at half and twice the cut-off. ``hold``: change with a
+    command that is not held between samples.
     """
 
     systematic: np.ndarray | None = None
     encoder: np.ndarray | None = None
     cutoff: CutoffSensitivity | None = None
+    hold: np.ndarray | None = None
 
 
 def assemble(
@@ -287,14 +299,16 @@ def assemble(
     estimates = {}
     values = solution.parameters
     std = structure.widening * spread.std
-    bias, steps, moved = np.zeros((3, len(values)))
+    bias, steps, moved, other = np.zeros((4, len(values)))
     if errors.systematic is not None:
         bias = errors.systematic
     if errors.encoder is not None:  # smaller than std: the residual already contains the encoder's steps
         steps = np.where(errors.encoder > std, errors.encoder, 0.0)
     if errors.cutoff is not None:
         moved = errors.cutoff.beyond_chance
-    halves = np.hypot(spread.quantile * np.linalg.norm([std, bias, steps], axis=0), moved)
+    if errors.hold is not None:
+        other = errors.hold
+    halves = np.linalg.norm([*(spread.quantile * np.array([std, bias, steps])), moved, other], axis=0)
     pushed = _without_motor_work(problem.names, values, halves)
     for i, written in enumerate(problem.model.quantities):
         quantity = replace(written, unit=axis.units.unit(written.unit), text=axis.units.words(written.text))
@@ -340,6 +354,7 @@ def assemble(
             systematic=None if errors.systematic is None else float(bias[i]),
             encoder=None if errors.encoder is None else float(steps[i]),
             cutoff=None if errors.cutoff is None else float(moved[i]),
+            hold=None if errors.hold is None else float(other[i]),
             reliability=share,
         )
     determined = {name: estimate.value for name, estimate in estimates.items() if estimate.value is not None}
@@ -407,7 +422,8 @@ def with_bootstrap(identification: Identification, solution: Solution, draws: in
         if estimate.value is None:
             continue
         known = np.linalg.norm([widening * own, estimate.systematic or 0.0, estimate.encoder or 0.0])
-        half = float(np.hypot(identification.residual.quantile * known, estimate.cutoff or 0.0))
+        others = (identification.residual.quantile * known, estimate.cutoff or 0.0, estimate.hold or 0.0)
+        half = float(np.linalg.norm(others))
         parameters[name] = replace(estimate, std_bootstrap=own, interval_95_bootstrap=_around(estimate.value, half))
     return replace(identification, parameters=parameters)
 

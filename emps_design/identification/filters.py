@@ -3,6 +3,8 @@
 The drive holds u[k] over [t_k, t_k + T). Averaged with the triangle of width 2T around t_k, the motor force is
 (u[k] + u[k-1])/2 and the acceleration the second difference of the position, both exactly; the ``hold`` chain
 regresses one on the other. A regression of u[k] on the motion at t_k has half a sample of delay instead.
+A drive that is faster than its record does not hold u[k] so long: between samples the command is then a smooth curve,
+whose average is (u[k-1] + 10 u[k] + u[k+1])/12 up to the fourth derivative (B. Numerov, 1924).
 
 Rests and encoder noise are found from the position alone. Friction at rest is any force up to the break-away force, so
 rows near a rest do not determine friction. A low cut-off would smooth short stops away, so rests are sought in a
@@ -144,8 +146,9 @@ def motion(record: Record, cutoff_hz: float) -> Motion:
 
 
 def held_force(record: Record, force_gain: float, cutoff_hz: float) -> np.ndarray:
-    """Motor force (n,) [N] around t_k of a held voltage, G_tau (u[k] + u[k-1])/2, low-passed like the motion."""
-    force = low_pass(mean_of_held(record.u), cutoff_hz, record.period)
+    """Motor force (n,) [N] around t_k, G_tau times the mean of the voltage there, low-passed like the motion."""
+    mean = mean_of_held if record.held else mean_of_sampled
+    force = low_pass(mean(record.u), cutoff_hz, record.period)
     force *= force_gain
     return force
 
@@ -159,6 +162,17 @@ def mean_of_held(u: np.ndarray) -> np.ndarray:
     mean = np.array(u, dtype=float)
     mean[1:] += u[:-1]
     mean[1:] *= 0.5
+    return mean
+
+
+def mean_of_sampled(u: np.ndarray) -> np.ndarray:
+    """Mean around t_k of a smooth curve through the samples: (u[k-1] + 10 u[k] + u[k+1])/12.
+
+    >>> mean_of_sampled(np.array([0.0, 12.0, 0.0, 0.0])).tolist()
+    [0.0, 10.0, 1.0, 0.0]
+    """
+    mean = np.array(u, dtype=float)
+    mean[1:-1] = (u[:-2] + 10.0 * u[1:-1] + u[2:]) / 12.0
     return mean
 
 

@@ -128,9 +128,10 @@ class Estimate:
     """One identified parameter: ``value``, ``std`` by (15), ``relative_std_percent`` by (16), and realistic bounds.
 
     ``std_long_run`` and ``interval_95`` allow for a correlated residual with structure; ``std_hac`` is the HAC
-    deviation. Three further errors are part of the interval: ``systematic``, the error of a chain that models neither
+    deviation. Four further errors are part of the interval: ``systematic``, the error of a chain that models neither
     hold nor rest, against the one that does; ``encoder``, the rms error by the encoder's steps, simulated, 0 where the
-    residual already shows more; ``cutoff``, how far half and twice the cut-off move the value beyond chance.
+    residual already shows more; ``cutoff``, how far half and twice the cut-off move the value beyond chance; ``hold``,
+    how far a drive would that is faster than the record, where this does not tell.
     All are None where the record does not determine the parameter; ``reliability`` is the share of its column that is
     motion rather than noise.
     """
@@ -146,6 +147,7 @@ class Estimate:
     systematic: float | None = None
     encoder: float | None = None
     cutoff: float | None = None
+    hold: float | None = None
     reliability: float | None = None
 
     @property
@@ -374,6 +376,9 @@ def _held_in_intervals(document: Document, units: Units) -> Iterator[Line]:
     if stepped:
         each = _each(stepped, units)
         yield Line(f"95 % ± holds what the steps of the encoder do as well, by simulation: {each} rms")
+    smooth = {name: estimate["hold"] for name, estimate in estimates.items() if estimate["hold"]}
+    if smooth:
+        yield Line(f"95 % ± holds what a drive that is faster than the record changes as well: {_each(smooth, units)}")
 
 
 def _moved_by_cutoff(document: Document, units: Units) -> str:

@@ -48,7 +48,7 @@ class Record(Viewed):
     ``f_ext`` measured external force [N or N m]; ``velocity_reference`` and ``velocity``, the drive's own [m/s or
     rad/s]; ``supply`` [V]; ``enable``, 0 where the motor is switched off; ``excitation``, added to the controller's
     output [as u]; ``bridged``, 1 in a gap that a straight line bridges. ``q_ref_recorded`` is False where the reference
-    is a substitute.
+    is a substitute; ``held`` is False where the drive is faster than the record, so that ``u`` changes between samples.
 
     ``measured`` has the signals at their own times if they were resampled; ``assigned`` the columns of the file;
     ``extra`` its other columns, which no analysis reads; ``warnings`` the notes of the checks, and of these
@@ -74,6 +74,7 @@ class Record(Viewed):
     excitation: np.ndarray | None = None
     bridged: np.ndarray | None = None
     q_ref_recorded: bool = True
+    held: bool = True
     measured: Mapping[str, np.ndarray] | None = field(default=None, repr=False)
     assigned: tuple[Assignment, ...] = field(default=(), repr=False)
 
