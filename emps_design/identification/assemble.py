@@ -5,10 +5,6 @@ lacks and rests that the filter smears all move the estimate with the cut-off, w
 cut-off cannot show. The estimates share most of their noise, so the variance of their difference is the difference of
 their variances (J. A. Hausman, 1978); any change beyond that is added to the interval.
 
-The command between samples: a drive holds it until the next sample, unless the drive is faster than its record. Either
-moves inertia and friction against each other, by half a period of the record. The residual tells which it was; where it
-does not, the interval holds both.
-
 Plausibility: whether the parameters are physically possible and close to the axis file, and if not, the likely cause.
 """
 
@@ -101,12 +97,6 @@ class Solution:
         """Lag [rows] of the HAC covariance: four correlation times, at least 0.1 s."""
         lag = int(max(0.1, 4.0 * self.spread.correlation_time) / self.problem.filtered.period)
         return min(lag, len(self.problem.W) // 10)
-
-
-def evidence(own: Solution, other: Solution) -> float:
-    """Twice the log of the likelihood of ``other`` over that of ``own``, by their residuals: above 6 odds of 20 : 1."""
-    independent = min(own.spread.effective_samples, other.spread.effective_samples)
-    return 2.0 * independent * math.log(own.fit.rms_error / other.fit.rms_error)
 
 
 @dataclass(frozen=True)
@@ -264,8 +254,8 @@ class Errors:
     """Errors of an estimate besides chance, (p,) each, None where not computed; they are part of the intervals.
 
     ``systematic``: error of a chain that models neither hold nor rest (NaN: not determined away from rest).
-    ``encoder``: error by the encoder's steps. ``cutoff``: change at half and twice the cut-off. ``hold``: change with a
-    command that is not held between samples.
+    ``encoder``: error by the encoder's steps. ``cutoff``: change at half and twice the cut-off. ``hold``: change with
+    another command between samples (:mod:`.command_hold`).
     """
 
     systematic: np.ndarray | None = None
@@ -422,8 +412,8 @@ def with_bootstrap(identification: Identification, solution: Solution, draws: in
         if estimate.value is None:
             continue
         known = np.linalg.norm([widening * own, estimate.systematic or 0.0, estimate.encoder or 0.0])
-        others = (identification.residual.quantile * known, estimate.cutoff or 0.0, estimate.hold or 0.0)
-        half = float(np.linalg.norm(others))
+        chance = identification.residual.quantile * float(known)
+        half = math.hypot(chance, estimate.cutoff or 0.0, estimate.hold or 0.0)
         parameters[name] = replace(estimate, std_bootstrap=own, interval_95_bootstrap=_around(estimate.value, half))
     return replace(identification, parameters=parameters)
 

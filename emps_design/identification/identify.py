@@ -25,7 +25,6 @@ from emps_design.identification.assemble import (
     Solution,
     assemble,
     cutoff_sensitivity,
-    evidence,
     with_bootstrap,
 )
 from emps_design.identification.chains import (
@@ -36,6 +35,7 @@ from emps_design.identification.chains import (
     explained_by_frequency,
     first_part,
 )
+from emps_design.identification.command_hold import CommandHold, command_hold
 from emps_design.identification.excitation import REFUSE, WEAK_RELIABILITY, check_record, force_free, goes_one_way
 from emps_design.identification.inverse_model import Regression, least_squares, notes, relative_error
 from emps_design.identification.model import LUMP, ONE_WAY, Model, known_part, lumped
@@ -57,8 +57,6 @@ from emps_design.progress import LOOKING
 from emps_design.records import Record
 from emps_design.request import takes
 
-DECIDED = 6.0  # twice the log of the odds for or against a drive that is faster than its record
-MOST_SHARE = 1.5  # of the way from held to smooth: beyond it the command is recorded late
 MOST_NOISE = 0.5  # of a column's own power: at most so much is attributed to encoder noise
 
 
@@ -79,11 +77,11 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Identificatio
     model = Model(friction, proposed if terms is None else terms)
     problem = Regression.of(record, axis, model, request.filter, cutoff)
     solution = Solution.of(problem)
-    known = not hold or axis.controller.kind != NONE or len(record) > LONG  # or too long to tell
-    smooth = None if known or not record.held else _smooth_between(solution)
-    if smooth is not None and evidence(solution, smooth) > DECIDED and _share(solution, smooth)[1] < MOST_SHARE:
-        text = "u: samples of a drive that is faster than its record; a smooth curve lies between them"
-        record = replace(record, held=False, warnings=(*record.warnings, note("faster-drive", text)))
+    between = CommandHold()
+    if hold and axis.controller.kind == NONE and len(record) <= LONG:  # a known controller gives its command in time
+        between = command_hold(solution)
+    if between.smooth:
+        record = replace(record, held=False, warnings=(*record.warnings, *between.messages))
         return identify_by_least_squares(record, axis, request)
     extra: dict[str, Any] = {
         "held_out": _held_out(solution, request),
@@ -92,8 +90,8 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Identificatio
         ),
     }
     if hold:
-        change = None if known else _hold_change(solution, smooth)
-        errors = Errors(encoder=_encoder_error(solution), cutoff=_cutoff_change(solution), hold=change)
+        remarks += between.messages
+        errors = Errors(encoder=_encoder_error(solution), cutoff=_cutoff_change(solution), hold=between.change)
     else:
         better, systematic = _compare_with_hold(solution, chosen)
         errors = Errors(systematic)
@@ -147,42 +145,6 @@ def _cutoff_change(solution: Solution) -> CutoffSensitivity:
         return Solution.of(Regression.of(part, problem.axis, problem.model, cutoff=frequency))
 
     return cutoff_sensitivity(solution, at, _noise_bias)
-
-
-def _smooth_between(solution: Solution) -> Solution | None:
-    """The solution with a command that is smooth between samples, or, of such a ``solution``, with one that is held."""
-    problem = solution.problem
-    try:
-        return Solution.of(problem.alike(replace(problem.record, held=not problem.record.held)))
-    except (RecordError, RankError, np.linalg.LinAlgError):
-        return None
-
-
-def _share(own: Solution, other: Solution) -> tuple[np.ndarray, float]:
-    """Parameters (p,) with a force between those of two solutions, or beyond, and how far from ``own`` to ``other``.
-
-    Between a command that is held and a smooth one is that of a drive which holds it over a shorter period of its own;
-    beyond is one that is recorded late.
-    """
-    problem, names = own.problem, (*own.problem.names, "share")
-    W = np.column_stack([problem.W, problem.Y - other.problem.Y])
-    fit = least_squares(W, problem.Y, names, problem.used, problem.axis.units)
-    return replace(own, fit=replace(fit, value=fit.value[:-1])).parameters, float(fit.value[-1])
-
-
-def _hold_change(solution: Solution, smooth: Solution | None) -> np.ndarray | None:
-    """Change (p,) by a command that is held otherwise between samples; None where the record excludes it.
-
-    A command that counts as smooth may still be held over a shorter period, and the change is to what fits best.
-    """
-    if solution.problem.record.held:
-        excluded = smooth is None or evidence(smooth, solution) > DECIDED
-        return None if smooth is None or excluded else np.abs(smooth.parameters - solution.parameters)
-    held = _smooth_between(solution)
-    try:
-        return None if held is None else np.abs(_share(solution, held)[0] - solution.parameters)
-    except (InputError, RankError, np.linalg.LinAlgError):
-        return None
 
 
 def _noise_bias(solution: Solution) -> np.ndarray:
@@ -314,7 +276,7 @@ def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, Message]:
         return None, warning("no-law", text)
     with_law = Axis.from_dict({**axis.to_dict(), "controller": law.controller}, axis.name)
     text = f"{axis.name} has no controller; the one of the record was used ({law.in_words}); law writes it"
-    return with_law, warning("law-of-the-record", text)
+    return with_law, note("law-of-the-record", text)
 
 
 def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:

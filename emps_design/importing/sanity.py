@@ -338,6 +338,8 @@ def lost(q: np.ndarray) -> np.ndarray:
 def odd_increments(record: Record) -> str:
     """Return a sentence on held or missing samples of position or reference of ``record``; "" for none.
 
+    None of a resampled record either: its times are known, and their jitter makes its increments odd.
+
     >>> t, sweep = 1e-3, np.arange(2000.0) ** 2 / 1e7
     >>> odd_increments(Record.from_arrays(t, sweep, sweep, np.sin(1e3 * sweep)))
     ''
@@ -345,6 +347,8 @@ def odd_increments(record: Record) -> str:
     >>> odd_increments(Record.from_arrays(t, less, less, np.sin(1e3 * less)))
     'q leaps ahead at 11 % of the samples: others are missing there, and time was numbered anew'
     """
+    if record.measured is not None:
+        return ""
     q, reference = record.q, record.q_ref
     stands, leaps = {"q": held(q)}, {"q": lost(q)}
     if record.q_ref_recorded and np.ptp(reference):

@@ -40,7 +40,7 @@ def steps_of(t: np.ndarray, source: str, first_row: int) -> tuple[float, np.ndar
         what = "the same time twice" if step[i] == 0 else "time going backwards"
         raise RecordError(
             f"{source}: column t, row {first_row + i + 1}: found {what} ({t[i]:.9g} s, then {t[i + 1]:.9g} s), "
-            "expected increasing time"
+            "expected increasing time; delete a row that is written twice, and take one run at a time with `window`"
         )
     typical = float(np.median(step, overwrite_input=True))
     if not SHORTEST_PERIOD <= typical <= LONGEST_PERIOD:

@@ -566,9 +566,10 @@ def _parse(
             cell = cells[column] if column < len(cells) else ""
             value = number(cell) if cell.strip() else np.nan  # refused later, unless it is cut off
             if value is None:
+                again = "; the titles come again there, delete that row" if cell.strip() in titles else ""
                 raise RecordError(
                     f"{source}: row {first_row + i}, column {titles[column]!r}: found {cell.strip()[:40]!r}, expected "
-                    "a number"
+                    f"a number{again}"
                 )
             table[filled, k] = value
         filled += 1
