@@ -102,7 +102,7 @@ def _otherwise(solution: Solution) -> Solution | None:
 
 
 def _between(own: Solution, other: Solution) -> tuple[Solution | None, float]:
-    """The solution with the best force between ``own`` (0) and ``other`` (1), or beyond, and its place; None for none."""
+    """The solution with the best force between ``own`` (0) and ``other`` (1), or beyond, and its place; or None."""
     problem, names = own.problem, (*own.problem.names, "share")
     W = np.column_stack([problem.W, problem.Y - other.problem.Y])
     try:

@@ -235,3 +235,13 @@ def test_a_part_that_only_speeds_up_and_one_that_only_brakes_have_no_gain_to_com
     record = Record.from_arrays(period, q, q, u, layout=Layout(units=STAGE.units))
     found = with_contradictions(axis, record).contradictions
     assert any("its gain or its unit changes" in text for text in found) == said
+
+
+def test_jitter_of_time_stamps_is_no_loss_of_samples(stage):
+    """A PC's clock in whole milliseconds: late stamps, two samples in one of them, and times that are known."""
+    late = np.round(1e3 * stage.t + 0.5 * np.abs(np.random.default_rng(0).standard_normal(len(stage))))
+    kept = np.diff(np.maximum.accumulate(late), prepend=-1.0) > 0.0
+    columns = (x[kept] for x in (1e-3 * late, stage.q_ref, stage.q, stage.u))
+    record = Record.from_arrays(*columns, layout=Layout(units=STAGE.units, period=1e-3))
+    assert record.measured is not None
+    assert with_contradictions(STAGE.replace(controller=UNKNOWN), record).contradictions == ()

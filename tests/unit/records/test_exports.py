@@ -537,3 +537,13 @@ def test_a_title_in_a_unit_of_another_quantity_contradicts_the_mapping():
     text = german().replace("Lageistwert [mm]", "Lageistwert [deg]").encode()
     with pytest.raises(RecordError, match=r"the title says deg, \[record\] position says mm; correct the axis file"):
         record_from_bytes(text, "trace.csv", layout=layout(GERMAN))
+
+
+def test_titles_that_come_again_are_told_from_other_words():
+    lines = ["t;q;q_ref;u", *rows(T, Q, Q, U)]
+    again = [*lines[:200], lines[0], *lines[200:]]
+    with pytest.raises(RecordError, match="row 201, column 't': found 't', expected a number; the titles come again"):
+        read("\n".join(again))
+    again[200] = "t;1;what;2"
+    with pytest.raises(RecordError, match="row 201, column 'q_ref': found 'what', expected a number$"):
+        read("\n".join([*again[:200], "0.2;1;what;2", *again[201:]]))
