@@ -24,6 +24,7 @@ from emps_design.identification.inverse_model import least_squares
 from emps_design.messages import Message, note, warning
 
 DECIDED = 6.0  # twice the log of the odds, from which on one of two fits is right: 20 : 1
+LEAST_OWN = 0.1  # of the change of the force, that inertia and friction do not explain
 MOST_SHARE = 1.5  # of the way from held to smooth, beyond which the command is recorded late
 
 
@@ -104,7 +105,11 @@ def _otherwise(solution: Solution) -> Solution | None:
 def _between(own: Solution, other: Solution) -> tuple[Solution | None, float]:
     """The solution with the best force between ``own`` (0) and ``other`` (1), or beyond, and its place; or None."""
     problem, names = own.problem, (*own.problem.names, "share")
-    W = np.column_stack([problem.W, problem.Y - other.problem.Y])
+    change = problem.Y - other.problem.Y
+    basis = np.linalg.qr(problem.W)[0]
+    if np.linalg.norm(change - basis @ (basis.T @ change)) < LEAST_OWN * np.linalg.norm(change):
+        return None, 0.0  # of a single sine a delay is inertia and friction
+    W = np.column_stack([problem.W, change])
     try:
         fit = least_squares(W, problem.Y, names, problem.used, problem.axis.units)
     except (InputError, RankError, np.linalg.LinAlgError):
