@@ -239,7 +239,8 @@ class Balance:
     def fitted(self, terms: Sequence[str] = ()) -> FittedModel:
         """Least-squares fit with ``terms``; raises as :func:`~emps_design.identification.identify` does."""
         request = IdentificationRequest(SYMMETRIC, BY_LEAST_SQUARES, cutoff=self.cutoff, with_=tuple(terms) or NO_TERMS)
-        return FittedModel.of(identify_by_least_squares(self.aligned, self.axis, request), self._beside)
+        identification = identify_by_least_squares(self.aligned, self.axis, request, aligned=True)
+        return FittedModel.of(identification, self._beside)
 
     @cached_property
     def _beside(self) -> list[Filtered]:

@@ -60,8 +60,13 @@ from emps_design.request import takes
 MOST_NOISE = 0.5  # of a column's own power: at most so much is attributed to encoder noise
 
 
-def identify_by_least_squares(record: Record, axis: Axis, request: IdentificationRequest) -> Identification:
-    """Identify ``axis`` from ``record`` by least squares; options and errors are those of :func:`.identify`."""
+def identify_by_least_squares(
+    record: Record, axis: Axis, request: IdentificationRequest, aligned: bool = False
+) -> Identification:
+    """Identify ``axis`` from ``record`` by least squares; options and errors are those of :func:`.identify`.
+
+    ``aligned``: the command of the record is in time with its motion, so what it does between samples is not judged.
+    """
     axis = axis.supplied_by(record)
     friction = ONE_WAY if request.model == "symmetric" and goes_one_way(record) else request.model
     record = check_record(record, axis, request.external_force, one_way=friction == ONE_WAY)
@@ -78,7 +83,8 @@ def identify_by_least_squares(record: Record, axis: Axis, request: Identificatio
     problem = Regression.of(record, axis, model, request.filter, cutoff)
     solution = Solution.of(problem)
     between = CommandHold()
-    if hold and axis.controller.kind == NONE and len(record) <= LONG:  # a known controller gives its command in time
+    in_time = aligned or axis.controller.kind != NONE  # a known controller gives its command in time
+    if hold and not in_time and len(record) <= LONG:
         between = command_hold(solution)
     if between.smooth:
         record = replace(record, held=False, warnings=(*record.warnings, *between.messages))
