@@ -25,6 +25,7 @@ from emps_design.messages import Message, note, warning
 
 DECIDED = 6.0  # twice the log of the odds, from which on one of two fits is right: 20 : 1
 LEAST_OWN = 0.1  # of the change of the force, that inertia and friction do not explain
+LEAST_GAIN = 0.1  # of the residual: a delay that explains less may stand for other physics, and is not reported
 MOST_SHARE = 1.5  # of the way from held to smooth, beyond which the command is recorded late
 
 
@@ -76,7 +77,8 @@ def command_hold(solution: Solution) -> CommandHold:
     between, share = _between(solution, other)
     held = solution.problem.record.held
     certain = between is not None and evidence(solution, between) > DECIDED
-    late = held and certain and not 1.0 - MOST_SHARE < share < MOST_SHARE
+    clear = between is not None and between.fit.rms_error < (1.0 - LEAST_GAIN) * solution.fit.rms_error
+    late = held and certain and clear and not 1.0 - MOST_SHARE < share < MOST_SHARE
     if held and not late and evidence(solution, other) > DECIDED:
         return CommandHold(smooth=True)
     if between is not None and (certain or not held):
