@@ -1,7 +1,7 @@
-"""The axis: what is known about one machine, in a TOML file and in Python.
+"""The axis: the description of one machine, as a TOML file and as a Python object.
 
-Its tables are mechanics, drive, sampling, controller, record and effects. An invalid axis is reported in one line, in
-the units of the axis.
+Its tables are mechanics, drive, sampling, controller, record and effects. An error in an axis file is reported in one
+line, in the units of the axis.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from emps_design.view import Table, View, Viewed
 
 MAX_BYTES = 1_000_000  # of an axis file
 NEW_LINE = "\n"
-LIMIT = {"voltage_limit", "command_limit"}  # two keys of a drive for one number
+LIMIT = {"voltage_limit", "command_limit"}  # two keys for the same number of a drive
 
 TABLES: dict[str, type[AxisTable]] = {
     "mechanics": Mechanics,
@@ -50,15 +50,16 @@ TABLES: dict[str, type[AxisTable]] = {
 
 
 def fields_in(table: str, kind: str = NONE) -> dict[str, FieldInfo]:
-    """The fields of a ``table`` of the axis file by key, for the controller those of the law ``kind``; none if unknown.
+    """The fields of a ``table`` of the axis file by key; ``kind`` is that of the controller. Empty if unknown.
 
     >>> list(fields_in("controller.velocity", "cascade"))
     ['kp', 'ti', 'form']
     """
     table, *path = table.split(".")
     if table == "controller":
-        own = {"kind": Controller.model_fields["kind"], **fields_of(kind)}
-        return fields_within(field_at(kind, path)) if path else own
+        if path:
+            return fields_within(field_at(kind, path))
+        return {"kind": Controller.model_fields["kind"], **fields_of(kind)}
     fields = TABLES[table].model_fields if table in TABLES and not path else {}
     return {**fields, "voltage_limit": fields["command_limit"]} if table == "drive" and fields else dict(fields)
 
@@ -70,9 +71,9 @@ def field_in(path: Sequence[str], kind: str = NONE) -> FieldInfo | None:
 
 
 def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
-    """The first problem of a pydantic error in ``table`` as ``place: found ..., expected ...``; a wrong key first.
+    """The first problem of a pydantic error in ``table`` as ``place: found ..., expected ...``, unknown keys first.
 
-    ``tables`` are the keys that an axis file has.
+    ``tables`` are the top-level keys of an axis file.
     """
     units = Units.of(table) if isinstance(table, dict) else Units()
     controller = table.get("controller") if isinstance(table, dict) else None
@@ -86,12 +87,12 @@ def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
         path[-1] = "voltage_limit"
     place = ".".join(path) or "axis"
     if problem["type"] == "extra_forbidden":
-        mapped = (ColumnMap if len(path) == 2 else Column).model_fields if path[0] == "record" else {}
-        known = list(mapped or fields_in(".".join(path[:-1]), kind) or tables)
+        of_record = (ColumnMap if len(path) == 2 else Column).model_fields if path[0] == "record" else {}
+        known = list(of_record or fields_in(".".join(path[:-1]), kind) or tables)
         return f"{place}: unknown key{nearest_name(path[-1], known)} (known: {', '.join(known)})"
     if problem["type"] == "value_error":
         text = problem["msg"].removeprefix("Value error, ").removeprefix("effects: ")
-        if not path:  # the whole axis; the text has the place
+        if not path:  # an error of the whole axis names its place itself
             return text
         is_key = field_in([*path, *text.partition(":")[0].split(".")], kind) is not None
         return f"{place}{'.' if is_key else ': '}{text}"
@@ -111,7 +112,7 @@ def first_line(error: ValidationError, table: Any, tables: list[str]) -> str:
 
 
 def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> str:
-    """The expected value of a field, in an engineer's words rather than the validator's."""
+    """The expected value of a field, in an engineer's words rather than pydantic's."""
     words = {
         "float_type": f"a number{unit}",
         "int_type": f"a whole number{unit}",
@@ -132,14 +133,14 @@ def _expected(kind: str, context: dict[str, Any], message: str, unit: str) -> st
 
 
 def _printable(name: str) -> str:
-    """Refuse a name with line breaks or control characters, since it goes to terminals and pages."""
+    """Return ``name``, or raise ValueError for control characters, since names are printed on terminals and pages."""
     if not name.isprintable():
         raise ValueError(f"found {one_line(name)!r}, expected text on one line without control characters")
     return name
 
 
 class Axis(Viewed, AxisTable):
-    """Everything that is known about one machine.
+    """The description of one machine; see the module's opening for its tables.
 
     >>> axis = Axis(name="small", mechanics={"mass": 10, "viscous": 20, "coulomb": 1}, drive={"force_gain": 5},
     ...             sampling={"period": 1e-3})
@@ -161,8 +162,8 @@ class Axis(Viewed, AxisTable):
     effects: tuple[AxisEffect, ...] = ()
 
     @model_validator(mode="after")
-    def _possible(self) -> Axis:
-        """Refuse impossible numbers and effects, in the units of the axis."""
+    def _check_physics(self) -> Axis:
+        """Raise ValueError for impossible numbers and effects, in the units of the axis."""
         for name in TABLES:
             for path, value in leaves(getattr(self, name).model_dump(exclude_none=True), (name,)):
                 field = field_in(path, self.controller.kind) if isinstance(value, float) else None
@@ -173,8 +174,8 @@ class Axis(Viewed, AxisTable):
         for place, effect in enumerate(self.effects):
             if not effect.effect.acts_on(self.motion):
                 raise ValueError(
-                    f"effects.{place}.kind: found {effect.kind!r} on a {self.motion} axis, expected an effect that "
-                    f"such an axis can have; {effect.kind} needs motion = {effect.effect.motion!r}"
+                    f"effects.{place}.kind: found {effect.kind!r} on a {self.motion} axis, expected an effect of "
+                    f"such an axis; {effect.kind} needs motion = {effect.effect.motion!r}"
                 )
         drive = self.drive
         if drive.current_gain and drive.reduction and drive.torque_constant:
@@ -198,7 +199,7 @@ class Axis(Viewed, AxisTable):
         return Units(self.motion, self.drive.command, self.drive.command_unit)
 
     def supplied_by(self, *records: Record) -> Axis:
-        """This axis with the mean supply of the ``records`` where its command is a duty and it has none itself."""
+        """This axis with the mean supply voltage of the ``records``, if its command is a duty and it has no supply."""
         columns = [record.supply for record in records if record.supply is not None]
         if self.drive.command != "duty" or self.drive.supply is not None or not columns:
             return self
@@ -224,7 +225,7 @@ class Axis(Viewed, AxisTable):
     @classmethod
     def load(cls, path: str | Path) -> Axis:
         """Read an axis file; raises :class:`AxisError` in one line naming file, place, found and expected."""
-        return cls.from_toml(_text(Path(path)), str(path))
+        return cls.from_toml(_read_text(Path(path)), str(path))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data in the shape of the TOML file, without unset keys."""
@@ -246,47 +247,47 @@ class Axis(Viewed, AxisTable):
         text = tomli_w.dumps(tables)
         if columns:
             text += f"\n{record_toml(columns)}"
-        return self._commented(text) if comments else text
+        return self._with_comments(text) if comments else text
 
     def replace(self, **tables: Any) -> Axis:
-        """Return a copy in which whole tables, or single keys of a table given as a dict, are replaced.
+        """Return a copy with other tables; a dict replaces single keys of a table.
 
         >>> from emps_design.machines import machine
         >>> machine("emps2019").replace(mechanics={"mass": 100.0}).mechanics.mass
         100.0
         """
-        own = {"effects": [], **self.to_dict()}
-        data = dict(own)
+        current = {"effects": [], **self.to_dict()}
+        data = dict(current)
         for key, value in tables.items():
             if isinstance(value, BaseModel):
                 value = value.model_dump(exclude_none=True)
             elif isinstance(value, dict) and isinstance(data.get(key), dict):
-                other = LIMIT if value.keys() & LIMIT else set()  # one number under two names
-                other = {*other, *FACTORS} if "force_gain" in value else other
-                value = {**{k: v for k, v in data[key].items() if k not in other}, **value}
+                dropped = LIMIT if value.keys() & LIMIT else set()  # one number under two names
+                dropped = {*dropped, *FACTORS} if "force_gain" in value else dropped
+                value = {**{k: v for k, v in data[key].items() if k not in dropped}, **value}
             elif key == "effects":
                 value = [{"kind": e.kind, **e.parameters} if isinstance(e, AxisEffect) else e for e in value]
             data[key] = value
-        unchanged = repr(data) == repr(own)  # True is no 1.0, and an array no number
+        unchanged = repr(data) == repr(current)  # == would take True for 1.0, and fails on arrays
         return self if unchanged else Axis.from_dict(data, self.name)
 
     def view(self) -> View:
         """Every key of the axis file with its value and unit."""
         kind, unit = self.controller.kind, self.units.unit
         rows = [
-            (".".join((name, *path)), _in_words(value), unit(unit_of(field_in((name, *path), kind))))
+            (".".join((name, *path)), _format_value(value), unit(unit_of(field_in((name, *path), kind))))
             for name in TABLES
             for path, value in leaves(getattr(self, name).model_dump(exclude_none=True))
         ]
         rows += [
-            (f"{effect.kind}.{parameter.name}", _in_words(effect.parameters[parameter.name]), unit(parameter.unit))
+            (f"{effect.kind}.{parameter.name}", _format_value(effect.parameters[parameter.name]), unit(parameter.unit))
             for effect in self.effects
             for parameter in effect.effect.parameters
         ]
         return (Table(("key", "value", "unit"), rows, self.name),)
 
-    def _commented(self, text: str) -> str:
-        """``text`` with a comment, description and unit, after each line that sets a key."""
+    def _with_comments(self, text: str) -> str:
+        """``text`` with the description and the unit as a comment after each line that sets a key."""
         lines, table = [], ""
         for line in text.splitlines():
             table = line.strip("[]") if line.startswith("[") else table
@@ -299,15 +300,15 @@ class Axis(Viewed, AxisTable):
         return "\n".join(lines) + "\n"
 
 
-def _in_words(value: Any) -> str:
-    """A value of an axis file as a reader sees it."""
+def _format_value(value: Any) -> str:
+    """A value of an axis file as text: yes or no, or five significant digits."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def record_toml(columns: Mapping[str, Mapping[str, Any] | Sequence[str]]) -> str:
-    """The ``[record]`` table of an axis file: each of the ``columns``, by key, on a line of its own.
+    """The ``[record]`` table of an axis file, with one line for each of the ``columns``.
 
     >>> print(record_toml({"position": {"column": "Pos", "scale": 1e-6}, "accept": ("rough-position",)}), end="")
     [record]
@@ -316,16 +317,16 @@ def record_toml(columns: Mapping[str, Mapping[str, Any] | Sequence[str]]) -> str
     """
     import tomli_w
 
-    def written(entry: Mapping[str, Any] | Sequence[str]) -> str:
+    def inline(entry: Mapping[str, Any] | Sequence[str]) -> str:
         if not isinstance(entry, Mapping):
             return json.dumps(list(entry))
-        # A title may hold other line ends of Unicode.
+        # Not splitlines: a title may contain other line separators of Unicode.
         return f"{{ {', '.join(tomli_w.dumps(entry).strip(NEW_LINE).split(NEW_LINE))} }}"
 
-    return "[record]\n" + "".join(f"{key} = {written(entry)}\n" for key, entry in columns.items())
+    return "[record]\n" + "".join(f"{key} = {inline(entry)}\n" for key, entry in columns.items())
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     expected = "expected a TOML axis file"
     try:
         return read_bytes(path, MAX_BYTES, expected).decode("utf-8-sig")

@@ -1,8 +1,8 @@
 """The errors of this package, with their exit codes on the command line.
 
-Every error derives from :class:`EmpsError` and from the usual builtin, so ``except ValueError`` catches bad numbers and
-``except EmpsError`` everything that this package refuses. A message is one line: what, found, expected with its unit,
-and a remedy.
+Every error derives from :class:`EmpsError` and from the usual builtin: ``except ValueError`` catches bad numbers, and
+``except EmpsError`` catches every error of this package. A message is one line: the place, what was found, what was
+expected with its unit, and a remedy.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class InputError(EmpsError, ValueError):
 
 
 class RecordError(InputError):
-    """A record that cannot be read, or cannot be trusted."""
+    """A record that cannot be read or is not plausible."""
 
 
 class AxisError(InputError):
@@ -39,7 +39,7 @@ class AxisError(InputError):
 
 
 class RankError(InputError):
-    """A regression whose ``columns`` (names) the data cannot separate."""
+    """A rank-deficient regression; ``columns`` are the names of the dependent columns."""
 
     def __init__(self, message: str, columns: tuple[str, ...] = ()):
         super().__init__(message)
@@ -47,7 +47,7 @@ class RankError(InputError):
 
 
 class SpecificationError(EmpsError, ValueError):
-    """A specification that no gains can meet; ``nearest`` is the closest one that works."""
+    """A specification that no gains can meet; ``nearest`` is the nearest feasible one."""
 
     exit_code = 3
 
@@ -57,7 +57,7 @@ class SpecificationError(EmpsError, ValueError):
 
 
 class UnstableError(EmpsError, RuntimeError):
-    """A requested design with an unstable loop; ``nearest`` is the closest stable one."""
+    """A requested design with an unstable loop; ``nearest`` is the nearest stable one."""
 
     exit_code = 4
 
@@ -86,7 +86,7 @@ def one_line(text: object) -> str:
 
 
 def printable(text: str) -> str:
-    """Return ``text`` with ``?`` for unprintable characters, which may be terminal commands or not encodable."""
+    """Return ``text`` with ``?`` for unprintable characters: they may be terminal commands, or not encodable."""
     return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 

@@ -1,7 +1,7 @@
-"""What a figure shows, as data: curves, areas, bands and levels on axes with labels and units.
+"""Figures as data: curves, areas, bands and levels on axes with labels and units.
 
-A figure is described once, beside what it shows. :func:`draw_on` renders axes with matplotlib, for a page and for
-``plot()``; the studio renders the same axes with Bokeh. Line styles and marks have the names of matplotlib.
+A figure is described once, next to the result that it shows. :func:`draw_on` renders axes with matplotlib, for a page
+and for ``plot()``; the studio renders the same axes with Bokeh. Line styles and marks have matplotlib's names.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PURPLE, YELLOW, BLACK = "#CC79A7", "#F0E442", "#1A1A1A"
 GREY = "#6B7280"
-PALE_GREY, PALE_BLUE = "#E5E7EB", "#EEF7FD"  # of what stands behind curves
+PALE_GREY, PALE_BLUE = "#E5E7EB", "#EEF7FD"  # for areas behind curves
 
-TURN = np.linspace(0.0, 2.0 * np.pi, 300)  # rad, angles of a circle
-SMALL = 8.5  # points, type of a remark
+TURN = np.linspace(0.0, 2.0 * np.pi, 300)  # rad, the angles of a full circle
+SMALL = 8.5  # points, font size of a remark
 Values = Sequence[float] | np.ndarray | float
 Range = tuple[float | None, float | None]
 NOT_GIVEN: Range = (None, None)
@@ -29,7 +29,7 @@ NOT_GIVEN: Range = (None, None)
 class Curve:
     """Points ``x``, ``y`` (n,) with a ``line`` through them, "" for none, and a ``mark`` of ``size`` [points] at each.
 
-    A legend has the ``label``, in print with ``detail`` after it.
+    The legend shows ``label``; matplotlib adds ``detail``.
     """
 
     x: Values
@@ -45,7 +45,7 @@ class Curve:
 
     @property
     def points(self) -> list[Curve]:
-        """Its points, a curve each."""
+        """One curve per point."""
         return [replace(self, x=x, y=y) for x, y in zip(*np.array([self.x, self.y]).tolist(), strict=True)]
 
 
@@ -71,7 +71,7 @@ class Area:
 
 @dataclass(frozen=True)
 class Band:
-    """What lies between ``low`` and ``high`` of ``axis``, "x" or "y", over the whole of the other one."""
+    """The band from ``low`` to ``high`` on ``axis``, "x" or "y", across the whole figure."""
 
     axis: str
     low: float
@@ -83,7 +83,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Level:
-    """A straight line at a value ``at`` of ``axis``, "x" or "y", across the whole figure; print names it ``text``."""
+    """A line at the value ``at`` of ``axis``, "x" or "y", across the figure; matplotlib labels it ``text``."""
 
     axis: str
     at: float
@@ -95,7 +95,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Remark:
-    """``text`` beside a point of the axes, ``right`` of it and ``up`` [points]: it ends there if it is to the left."""
+    """``text`` beside the point ``x``, ``y``, offset by ``right`` and ``up`` [points]; it ends there if left of it."""
 
     x: float
     y: float
@@ -112,18 +112,18 @@ class Remark:
 
     @property
     def align(self) -> str:
-        """The side of the text at which the point is."""
+        """Alignment of the text: "left" if it starts at the point, "right" if it ends there."""
         return "right" if self.right < 0.0 else "left"
 
 
 @dataclass(frozen=True)
 class Axes:
-    """``parts`` on axes with the labels ``x`` and ``y``, units included, in the order in which they are drawn.
+    """``parts`` on axes with the labels ``x`` and ``y``, units included, in drawing order.
 
-    ``log`` names those with a logarithmic scale, "x" or "xy"; ``x_range`` and ``y_range`` are their ends, None where
-    these follow from the data, and ``room`` is the share of the height that is left free above. ``ticks`` is the
-    distance of the numbers of y. ``legend`` is the place of a legend, in ``columns``. ``square`` axes have equal
-    scales, ``hertz`` adds a scale in Hz to one in rad/s, and ``remark`` is a sentence over all.
+    ``log`` names the logarithmic scales, "x" or "xy". ``x_range`` and ``y_range`` are the ends of the scales, None for
+    automatic; ``room`` is the share of the height that stays free at the top. ``ticks`` is the tick spacing of y.
+    ``legend`` is matplotlib's location of the legend, in ``columns``. ``square`` axes have equal scales, ``hertz`` adds
+    a scale in Hz to one in rad/s, and ``remark`` is a text box.
     """
 
     parts: tuple[Curve | Area | Band | Level | Remark, ...]
@@ -149,10 +149,10 @@ class Axes:
 
 @dataclass(frozen=True)
 class Grid:
-    """``rows`` of axes in one figure, ``height`` [in] high; axes above one another may share their scale of x.
+    """``rows`` of axes in one figure of ``height`` [in]; with ``share_x`` the axes of a column share their scale of x.
 
-    ``heights`` are those of the rows relative to each other; ``legend`` is the place of one for all curves of the first
-    axes, outside of them.
+    ``heights`` are the relative heights of the rows. ``legend`` is the location of a common legend outside the axes,
+    with the curves of the first axes.
     """
 
     rows: tuple[tuple[Axes, ...], ...]
@@ -177,8 +177,8 @@ def thin(x: np.ndarray, y: np.ndarray, bins: int = 900) -> tuple[np.ndarray, np.
     """Return at most ``2 bins`` points of (x, y) that draw the same line: the extremes of each bin, in order.
 
     >>> x = np.linspace(0, 1, 10_000)
-    >>> kept_x, kept_y = thin(x, np.sin(50 * x), bins=100)
-    >>> bool(kept_x.size <= 200 and kept_y.max() > 0.999)
+    >>> thin_x, thin_y = thin(x, np.sin(50 * x), bins=100)
+    >>> bool(thin_x.size <= 200 and thin_y.max() > 0.999)
     True
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
@@ -189,8 +189,8 @@ def thin(x: np.ndarray, y: np.ndarray, bins: int = 900) -> tuple[np.ndarray, np.
     blocks = y[:full].reshape(-1, width)
     start = np.arange(blocks.shape[0]) * width
     low, high = start + blocks.argmin(axis=1), start + blocks.argmax(axis=1)
-    kept = np.unique(np.concatenate([[0], low, high, np.arange(full, x.size)[:: max(1, width // 2)], [x.size - 1]]))
-    return x[kept], y[kept]
+    places = np.unique(np.concatenate([[0], low, high, np.arange(full, x.size)[:: max(1, width // 2)], [x.size - 1]]))
+    return x[places], y[places]
 
 
 def draw_on(axes: Any, drawn: Axes) -> None:
@@ -221,7 +221,7 @@ def draw_on(axes: Any, drawn: Axes) -> None:
 
 
 def _frame(axes: Any, drawn: Axes) -> None:
-    """Scales, ends, labels and legend."""
+    """Set scales, ranges, labels and legend."""
     for axis in drawn.log:
         axes.set(**{f"{axis}scale": "log"})
     axes.set(xlabel=drawn.x, ylabel=drawn.y)
@@ -252,7 +252,7 @@ def _frame(axes: Any, drawn: Axes) -> None:
 
 
 def _name_levels(axes: Any, drawn: Axes) -> None:
-    """Write the names of levels along them, those of y at the left end."""
+    """Label the levels that have a text: those of y at the left end, those of x along the line."""
     for level in drawn.parts:
         if not isinstance(level, Level) or not level.text:
             continue

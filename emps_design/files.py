@@ -1,4 +1,4 @@
-"""Files that are written completely or not at all: to a temporary file first, then renamed."""
+"""Files that are written completely or not at all: first to a temporary file, which is then renamed."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from emps_design.errors import EmpsError, InputError
 
 try:
     import fcntl
-except ImportError:  # a system without these locks keeps abandoned files
+except ImportError:  # without file locks, abandoned temporary files are not removed
     fcntl = None  # type: ignore[assignment]
 
 LONGEST_NAME = 100  # bytes of a name that the temporary file repeats; file systems allow 255 in all
-# Errors of a disk although the name is valid.
+# Errors of the disk, not of the name.
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 _unfinished: dict[Path, int] = {}  # temporary files of this process, and the descriptors that lock them
 
@@ -48,18 +48,18 @@ def destination(path: str | Path) -> Path:
         except FileNotFoundError:
             mode = None
         if mode is not None and not stat.S_ISREG(mode):
-            raise InputError(f"{path}: is {_what(mode)}, expected the name of a file to write")
+            raise InputError(f"{path}: is {_kind_of_file(mode)}, expected the name of a file to write")
         if mode is not None and not os.access(target, os.W_OK):
             raise InputError(f"{path}: cannot write there, it is write-protected; choose another name")
         if not stat.S_ISDIR(os.stat(target.parent).st_mode):
             raise InputError(f"{path}: {target.parent} is not a folder")
         if not os.access(target.parent, os.W_OK | os.X_OK):
-            raise InputError(f"{path}: cannot write there, no right to make a file in {target.parent}")
+            raise InputError(f"{path}: cannot write there, no permission to create a file in {target.parent}")
     except FileNotFoundError as error:
         raise InputError(f"{path}: folder {target.parent} does not exist; make it first") from error
     except InputError:
         raise
-    except (OSError, ValueError) as error:  # a ValueError is a name with a null byte
+    except (OSError, ValueError) as error:  # ValueError: the name has a null byte
         raise InputError(f"{path}: cannot write there, {getattr(error, 'strerror', None) or error}") from error
     return target
 
@@ -115,7 +115,7 @@ def write_together(folder: str | Path) -> Iterator[Path]:
 
 
 def read_bytes(path: str | Path, most: int, expected: str) -> bytes:
-    """Return the content of an ordinary file of at most ``most`` bytes; no more are ever in memory.
+    """Return the content of a regular file of at most ``most`` bytes, without reading more than that into memory.
 
     Raises :class:`InputError`, one line that ends with ``expected``, for a file that cannot be read or is too large,
     and for devices and pipes.
@@ -127,7 +127,7 @@ def read_bytes(path: str | Path, most: int, expected: str) -> bytes:
             content = file.read(most + 1)
     except InputError:
         raise
-    except (OSError, ValueError) as error:  # a ValueError is a name with a null byte
+    except (OSError, ValueError) as error:  # ValueError: the name has a null byte
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}; {expected}") from error
     if len(content) > most:
         raise InputError(f"{path}: found more than {most / 1e6:g} MB; {expected}")
@@ -153,12 +153,12 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def discard_unfinished() -> None:
-    """Remove the temporary files of this process, for an exit that does not unwind the stack."""
+    """Remove the temporary files of this process, before an exit that does not unwind the stack."""
     for aside in tuple(_unfinished):
         _remove(aside)
 
 
-def _what(mode: int) -> str:
+def _kind_of_file(mode: int) -> str:
     kinds = {stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISSOCK: "a socket"}
     return next((name for is_kind, name in kinds.items() if is_kind(mode)), "a device")
 
@@ -177,7 +177,7 @@ def _report_disk_error(path: str | Path) -> Iterator[None]:
 @contextmanager
 def _aside(path: str | Path, target: Path, new: Callable[[Path, str], Path]) -> Iterator[Path]:
     """A locked temporary file or folder beside ``target``, removed at the end; messages name ``path``."""
-    start = _start(target.name)
+    start = _prefix(target.name)
     _remove_abandoned(target.parent, start)
     try:
         aside = _make_locked(target.parent, f"{start}{platform.node()[:40]}.{os.getpid()}.", new)
@@ -190,8 +190,8 @@ def _aside(path: str | Path, target: Path, new: Callable[[Path, str], Path]) -> 
         os.close(_unfinished.pop(aside))
 
 
-def _start(name: str) -> str:
-    """Start of the names of temporary files for a file called ``name``; host name and process id follow."""
+def _prefix(name: str) -> str:
+    """Prefix of the temporary files for a file called ``name``; host name and process id follow it."""
     long = len(os.fsencode(name)) > LONGEST_NAME
     return f".{hashlib.sha256(os.fsencode(name)).hexdigest()[:32] if long else name}."
 
@@ -210,7 +210,7 @@ def _make_locked(folder: Path, start: str, new: Callable[[Path, str], Path]) -> 
     """Create a temporary file or folder with ``new`` and lock it until it is closed or this process ends."""
     while True:
         aside = new(folder, start)
-        # Before it is locked another process may remove it as abandoned.
+        # Another process may remove the file as abandoned before it is locked.
         with suppress(FileNotFoundError):
             handle = os.open(aside, os.O_RDONLY)
             if fcntl is not None:
@@ -223,21 +223,21 @@ def _make_locked(folder: Path, start: str, new: Callable[[Path, str], Path]) -> 
 
 
 def _remove_abandoned(folder: Path, start: str) -> None:
-    """Remove the temporary files of ended processes in ``folder`` whose names begin with ``start``."""
-    ours = re.compile(re.escape(start) + r"(.*\.)?\d+\.[a-z0-9_]{8}\.part")
+    """Remove the temporary files in ``folder`` whose names begin with ``start`` and whose processes have ended."""
+    temporary = re.compile(re.escape(start) + r"(.*\.)?\d+\.[a-z0-9_]{8}\.part")
     with suppress(OSError):  # a folder without the right to list it
-        for name in filter(ours.fullmatch, os.listdir(folder)):
+        for name in filter(temporary.fullmatch, os.listdir(folder)):
             _remove_if_abandoned(folder / name)
 
 
 def _remove_if_abandoned(path: Path) -> None:
-    """Remove ``path`` unless a running process holds its lock; the lock is held meanwhile."""
+    """Remove ``path`` unless a running process holds its lock; this process holds the lock meanwhile."""
     if fcntl is None:
         return
     if path.is_symlink():  # never created here
         _remove(path)
         return
-    with suppress(OSError):  # of another user, gone by now, or in use
+    with suppress(OSError):  # the file belongs to another user, no longer exists, or is in use
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -262,7 +262,7 @@ def _put_all(places: dict[Path, Path]) -> None:
 
 
 def _put(aside: Path, target: Path) -> None:
-    """Flush ``aside`` to the disk and rename it to ``target``, with the mode of that."""
+    """Flush ``aside`` to the disk and rename it to ``target``; a file that it replaces passes on owner and mode."""
     handle = os.open(aside, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -280,7 +280,7 @@ def _put(aside: Path, target: Path) -> None:
     try:
         os.replace(aside, target)
     except OSError as error:
-        if error.errno != errno.EXDEV:  # a link may lead to another disk
+        if error.errno != errno.EXDEV:  # the target of a link may be on another file system
             raise
         with write_aside(target) as beside:
             shutil.copyfile(aside, beside)

@@ -1,4 +1,4 @@
-"""What commands read: axes and records, by one reader each, and the fields of a request that take an axis."""
+"""Readers of axes and records for the commands, and the request fields that take an axis."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from emps_design.request import option
 
 
 def read_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:
-    """The axis of that name or file; no other ``axis`` is needed to read it.
+    """The embedded machine or the axis file of that name; ``axis``, which every reader takes, is not used.
 
     >>> read_axis("emps2018").name
     'emps2018'
@@ -22,7 +22,7 @@ def read_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:
 
 
 def read_record(path: str | Path, axis: Axis) -> Record:
-    """The record at ``path``, read as ``axis`` says."""
+    """The record at ``path``, read by the ``[record]`` table, the units and the period of ``axis``."""
     from emps_design.importing import import_record
 
     return import_record(Path(path), axis)

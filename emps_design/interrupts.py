@@ -1,7 +1,7 @@
 """Interrupts: SIGINT, SIGTERM and SIGHUP end the process within two seconds, with exit status 130.
 
-Python handles a signal between two of its own instructions; compiled code and linear algebra may take minutes to the
-next one. A second thread therefore waits for signals as well, and ends the process if it does not unwind in time.
+Python handles a signal between two bytecode instructions, and compiled code may delay the next one by minutes. A second
+thread therefore waits for signals as well, and ends the process if it does not unwind in time.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from emps_design.errors import one_line
 from emps_design.files import discard_unfinished
 
 STATUS = 130
-GRACE = 1.5  # s, for the work to unwind by itself
-ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+GRACE = 1.5  # s, for the stack to unwind
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 interrupted = threading.Event()  # set by the first signal
 _final_actions: list[Callable[[], None]] = []
@@ -29,8 +29,8 @@ _end_lock = threading.Lock()
 
 
 def install_handlers() -> None:
-    """Let the signals in ``ENDING`` end this process, except those that are ignored already."""
-    for number in ENDING:
+    """Let :data:`SIGNALS` end this process, except those that are already ignored."""
+    for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup and in background jobs of a shell
             signal.signal(number, _on_signal)
     sys.excepthook, sys.unraisablehook = _on_exception, _on_unraisable
@@ -42,12 +42,15 @@ def install_handlers() -> None:
 
 @contextmanager
 def on_interrupt(action: Callable[[], str]) -> Iterator[None]:
-    """Run ``action`` once if the block is interrupted, whether the block unwinds or not, and print what it returns."""
+    """If the block is interrupted, run ``action`` once and print the text that it returns.
+
+    That holds even if the block never unwinds.
+    """
     done = threading.Lock()
 
     def once() -> None:
         if done.acquire(blocking=False):
-            _tell(action())
+            _print(action())
 
     _final_actions.append(once)
     try:
@@ -60,7 +63,7 @@ def on_interrupt(action: Callable[[], str]) -> Iterator[None]:
 
 
 def end() -> NoReturn:
-    """End this process now: run the final actions, remove unfinished files and do not wait for other threads."""
+    """End this process now, without waiting for other threads: run the final actions and remove unfinished files."""
     if not _end_lock.acquire(blocking=False):
         threading.Event().wait()  # the other thread is ending the process
     try:
@@ -75,13 +78,13 @@ def end() -> NoReturn:
 
 def _on_signal(number: int, frame: object) -> None:
     interrupted.set()
-    for ending in ENDING:  # the removal of unfinished files must not be interrupted
-        signal.signal(ending, signal.SIG_IGN)
+    for other in SIGNALS:  # the removal of unfinished files must not be interrupted
+        signal.signal(other, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
 def _on_exception(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Print no traceback after an interrupt: numpy's imports print it and raise another error."""
+    """Print no traceback after an interrupt: numpy's imports would print it and raise another error."""
     if not interrupted.is_set():
         sys.__excepthook__(kind, error, trace)
 
@@ -93,14 +96,14 @@ def _on_unraisable(arguments: sys.UnraisableHookArgs) -> None:
 
 
 def _wait(read_end: int) -> None:
-    while not set(ENDING) & set(os.read(read_end, 64)):
+    while not set(SIGNALS) & set(os.read(read_end, 64)):
         continue
     time.sleep(GRACE)
-    _tell("interrupted")
+    _print("interrupted")
     end()
 
 
-def _tell(text: str) -> None:
-    """Print ``text``, if any, as one line of this program on standard error."""
+def _print(text: str) -> None:
+    """Print ``text``, unless empty, as one line on standard error."""
     if text:
         print(f"emps-design: {one_line(text)}", file=sys.stderr)

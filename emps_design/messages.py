@@ -1,8 +1,8 @@
-"""Messages: sentences beside a result, each with a code, a severity and the values in it.
+"""Messages: sentences about a result, each with a code, a severity and the values in it.
 
-A message is made once, where the fact is found, in the units and words of the axis. Its code names the kind of fact; a
-code is made in one place of the package, which decides its severity. A message is a string, so a terminal, a page and
-JSON show it as any other; whoever judges a result asks for severity and code, never for words.
+The function that finds a fact makes the message, in the units and words of the axis. The code names the kind of fact;
+each code occurs in one place of the package, which fixes its severity. A message is a string, so terminals, pages and
+JSON show it as such. Code that judges a result reads severity and code, never the text.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 
 
 class Severity(IntEnum):
-    """What a message means for the result that it stands beside, the least first."""
+    """What a message means for its result, in rising order."""
 
-    NOTE = 0  # the result stands as it is
-    WARNING = 1  # the result holds less than it seems; a design may still be safe
+    NOTE = 0  # the result is valid as it is
+    WARNING = 1  # the result is valid with a restriction; a design may still be safe
     GRAVE = 2  # part of the result is missing, and no design is safe
-    WRONG = 3  # nothing of the result may be true
+    WRONG = 3  # the whole result may be wrong
 
 
 class Message(str):
@@ -34,17 +34,17 @@ class Message(str):
     values: Mapping[str, Any]
 
     def __new__(cls, text: str, code: str, severity: Severity, values: Mapping[str, Any]) -> Message:
-        """A message with this ``text``; see :func:`note` and its siblings."""
+        """Make a message; use :func:`note`, :func:`warning`, :func:`grave` or :func:`wrong`."""
         message = super().__new__(cls, text)
         message.code, message.severity, message.values = code, severity, values
         return message
 
     def __getnewargs__(self) -> tuple[Any, ...]:
-        """What :mod:`pickle` and :mod:`copy` make the message of."""
+        """The arguments of ``__new__`` for :mod:`pickle` and :mod:`copy`."""
         return str(self), self.code, self.severity, self.values
 
     def of(self, name: str) -> Message:
-        """The same message with the ``name`` of what it is about, such as a record, before it.
+        """The same message with the ``name`` of its subject, such as a record, in front.
 
         >>> note("gap", "a gap of 2 s").of("first.csv").code, str(note("gap", "a gap of 2 s").of("first.csv"))
         ('gap', 'first.csv: a gap of 2 s')
@@ -53,27 +53,27 @@ class Message(str):
 
 
 def note(code: str, text: str, /, **values: Any) -> Message:
-    """Make a message after which the result stands as it is."""
+    """Make a message of severity ``NOTE``: the result is valid as it is."""
     return Message(text, code, Severity.NOTE, values)
 
 
 def warning(code: str, text: str, /, **values: Any) -> Message:
-    """Make a message after which the result holds less than it seems."""
+    """Make a message of severity ``WARNING``: the result is valid with a restriction."""
     return Message(text, code, Severity.WARNING, values)
 
 
 def grave(code: str, text: str, /, **values: Any) -> Message:
-    """Make a message after which part of the result is missing, and no design is safe."""
+    """Make a message of severity ``GRAVE``: part of the result is missing, and no design is safe."""
     return Message(text, code, Severity.GRAVE, values)
 
 
 def wrong(code: str, text: str, /, **values: Any) -> Message:
-    """Make a message after which nothing of the result may be true."""
+    """Make a message of severity ``WRONG``: the whole result may be wrong."""
     return Message(text, code, Severity.WRONG, values)
 
 
 def severity_of(text: str) -> Severity:
-    """Return the severity of a message; any other text, such as of a document read from a file, counts as grave.
+    """Return the severity of a message; plain text, such as in a document read from a file, counts as grave.
 
     >>> severity_of(note("gap", "a gap of 2 s")).name, severity_of("a gap of 2 s").name
     ('NOTE', 'GRAVE')

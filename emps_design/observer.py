@@ -582,10 +582,9 @@ class SmallestForce:
         """Plain data, with the reason for each bound."""
         force = self.units.word("force")
         reasons = {
-            "break_away": "at rest friction takes up whatever is smaller",
-            "noise": f"95 % of the quick changes of what is observed, which no slow {force} makes",
-            "parameter": f"95 % of the {force} that errors of the parameters make on this motion, 2 % of each unless "
-            "given",
+            "break_away": "at rest friction balances anything smaller",
+            "noise": f"95 % of the fast changes of the observed {force}, which a slow {force} does not cause",
+            "parameter": f"95 % of the {force} by parameter errors on this motion, 2 % of each by default",
         }
         return {"value": self.value, "bound": self.bound, "bounds": self.bounds, "reasons": reasons}
 

@@ -1,4 +1,4 @@
-"""Progress of long computations: the stage in words and the share that is done, 0 to 1."""
+"""Progress of long computations: the name of the stage and the completed share, 0 to 1."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def no_progress(stage: str, share: float) -> None:
 
 
 def of_part(progress: Progress, begin: float, share: float) -> Progress:
-    """Return a function that reports a part of the work, from ``begin`` on and with ``share`` of it, to ``progress``.
+    """Return a progress function for one part of the work: it starts at ``begin`` and takes ``share`` of the whole.
 
     >>> of_part(lambda stage, done: print(stage, done), 0.5, 0.4)("fitting", 0.25)
     fitting 0.6

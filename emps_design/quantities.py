@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from emps_design.errors import InputError
 
-# Smallest positive and largest magnitude by unit, decades beyond the smallest and the largest machine: a number outside
-# has a wrong unit.
+# Smallest positive and largest magnitude by unit, decades beyond those of real machines: a number outside them has the
+# wrong unit.
 LIMITS: dict[str, tuple[float, float]] = {
     "kg": (1e-9, 1e7),
     "N": (1e-9, 1e8),
@@ -40,13 +40,13 @@ LIMITS: dict[str, tuple[float, float]] = {
     "": (0.0, 1e6),
 }
 ANY_OTHER = (1e-15, 1e15)
-PEOPLE = ("Stribeck", "Maxwell")  # names that keep their capital
+PEOPLE = ("Stribeck", "Maxwell")  # names that keep their capital inside a sentence
 
 
 def check_magnitude(name: str, value: float, unit: str, positive: bool = False) -> float:
-    """Return ``value`` [``unit``], or raise :class:`InputError` beyond the magnitudes of :data:`LIMITS`.
+    """Return ``value`` [``unit``], or raise :class:`InputError` outside the magnitudes of :data:`LIMITS`.
 
-    Only a ``positive`` quantity can be too small: 1e-20 N of friction is none. Infinite values and NaN are not checked.
+    The lower limit applies to ``positive`` quantities only. Infinite values and NaN are not checked.
 
     >>> check_magnitude("mass", 95.1, "kg", positive=True)
     95.1
@@ -98,7 +98,7 @@ _FREQUENCIES = {"": 1.0, "rad/s": 1.0, "1/s": 1.0, "hz": 2.0 * math.pi, "khz": 2
 
 
 def read_frequency(text: str | float, unit: str = "rad/s") -> float:
-    """Return the frequency in ``text`` in ``unit`` ("rad/s" or "Hz"), which is also the unit of a bare number.
+    """Return the frequency in ``text``, in ``unit`` ("rad/s" or "Hz"); a number without a unit is in ``unit``.
 
     Raises :class:`InputError` for any other text; the number itself is not checked.
 
@@ -111,14 +111,14 @@ def read_frequency(text: str | float, unit: str = "rad/s") -> float:
     match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan))\s*([a-zA-Z/1]*)", written)
     written_unit = (match[2].lower() or unit.lower()) if match else "?"
     if match is None or written_unit not in _FREQUENCIES:
-        raise InputError(f"frequency: found {written!r}, expected a number of {unit}, or such as 30Hz")
+        raise InputError(f"frequency: found {written!r}, expected a number in {unit}, or one such as 30Hz")
     if written_unit == unit.lower():
         return float(match[1])
     return float(match[1]) * _FREQUENCIES[written_unit] / _FREQUENCIES[unit.lower()]
 
 
 def read_ratio(text: str | float) -> float:
-    """Return the positive ratio in ``text``: a bare number, or decibels such as 6dB.
+    """Return the positive ratio in ``text``: a plain number, or decibels such as 6dB.
 
     Raises :class:`InputError` for any other text.
 
@@ -131,7 +131,7 @@ def read_ratio(text: str | float) -> float:
     if match and match[2]:
         value = 10.0 ** (min(value, 200.0) / 20.0)
     if value <= 0.0:
-        raise InputError(f"ratio: found {written!r}, expected a positive number, or such as 6dB")
+        raise InputError(f"ratio: found {written!r}, expected a positive number, or one such as 6dB")
     return check_magnitude("ratio", value, "")
 
 
@@ -145,7 +145,7 @@ _SMALL = {
 
 
 def display_unit(size: float, unit: str) -> tuple[str, float]:
-    """Return the unit in which ``size`` [``unit``] is displayed, and the factor to it.
+    """Return the display unit for ``size`` [``unit``], and the factor to it.
 
     >>> display_unit(5e-8, "m"), display_unit(0.25, "m"), display_unit(12.0, "N")
     (('nm', 1000000000.0), ('mm', 1000.0), ('N', 1.0))
@@ -166,7 +166,7 @@ def share_asked(share: float, std: float) -> str:
 
 
 def rounded(value: float, places: int = 2) -> str:
-    """``value`` with ``places`` decimals, or with as many significant digits where these would not show it.
+    """``value`` with ``places`` decimals; a small value has ``places`` significant digits instead.
 
     >>> rounded(12.3456), rounded(0.4), rounded(0.00213), rounded(0.0)
     ('12.35', '0.40', '0.0021', '0.00')
@@ -176,7 +176,7 @@ def rounded(value: float, places: int = 2) -> str:
 
 
 def decimals(size: float) -> int:
-    """Decimals for a number of about ``size``: 4, or those of 4 significant digits below 0.1.
+    """Number of decimals for a value of about ``size``: 4, below 0.1 as many as give 4 significant digits.
 
     >>> decimals(96.2), decimals(0.5), decimals(0.00025), decimals(0.0)
     (4, 4, 7, 4)
@@ -196,7 +196,7 @@ def one_two_five(ratio: float) -> float:
 
 
 def inside(label: str) -> str:
-    """``label`` for use inside a sentence: without its capital, unless it begins with a name.
+    """``label`` for use inside a sentence: in lower case, unless it begins with the name of a person.
 
     >>> inside("Position ripple"), inside("Stribeck friction"), inside("Back-EMF braking")
     ('position ripple', 'Stribeck friction', 'back-EMF braking')

@@ -1,6 +1,6 @@
-"""Registry of the effects and laws of the package, and of those that a user adds from a file.
+"""Registry of the package's effects and laws, and of those that a user adds from a file.
 
-A user's file is imported, so its code runs. A file named in the environment variable is loaded in every process.
+A user's file is imported, so its code runs. Files named in an environment variable are loaded in every process.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ Entry = TypeVar("Entry")
 
 @dataclass(eq=False)
 class Registry(Generic[Entry]):
-    """The entries of one ``kind`` ("effect"), each with a ``name``: the package's ``own``, then those added.
+    """The entries of one ``kind`` ("effect"), each with a ``name``: the package's ``own``, then those of the user.
 
-    ``entry`` is their class, found in a user's file under ``kind`` in capitals; ``variable`` is the environment
-    variable with the paths of such files, ``key`` what an axis file calls the name.
+    ``entry`` is their class. A user's file defines one under the name of ``kind`` in capitals. ``variable`` is the
+    environment variable with the paths of such files, and ``key`` is the key of the name in an axis file.
     """
 
     kind: str
@@ -46,9 +46,9 @@ class Registry(Generic[Entry]):
         return known[name]
 
     def register(self, entry: Entry) -> Entry:
-        """Add a user's ``entry``, with the same rights as those of the package, and return it."""
+        """Add a user's ``entry`` and return it; raises :class:`AxisError` if the package has one of that name."""
         if _name(entry) in map(_name, self.own):
-            raise AxisError(f"{self.kind} {_name(entry)}: the package has one of that name, choose another")
+            raise AxisError(f"{self.kind} {_name(entry)}: the package already has that name; choose another")
         self.added[_name(entry)] = entry
         return entry
 

@@ -1,7 +1,8 @@
 """A request: all options of a command or of a function as the fields of one frozen dataclass.
 
-A field says once what its option is: default, help, unit, bounds, choices, how a text is read. The command line, the
-studio, ``help()`` and the function itself are made from it, so an option has one name and one meaning everywhere.
+A field declares its option once: default, help, unit, bounds, choices, and how text is read. The command line, the
+studio, ``help()`` and the signature of the function follow from it, so an option has the same name and meaning
+everywhere.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from emps_design.units import LINEAR, Units
 
 OPTION = "option"  # the key of an Option in the metadata of a field
 
-# What a parameter of a type takes, in words; a text or None in its place is refused, other types are not looked at.
+# The expected value for each type, in words. Text or None is refused for these; other types are not checked.
 KINDS = {
     "Axis": "an Axis, such as load_axis(path)",
     "Record": "a Record, such as read_record(path)",
@@ -32,7 +33,7 @@ KINDS = {
     "None": "None",
 }
 
-# Declarations of an option that is a frequency or a ratio: option(None, "... [rad/s, or such as 30Hz]", **RAD_S).
+# Declarations for a frequency or a ratio: option(None, "... [rad/s, or e.g. 30Hz]", **RAD_S).
 RAD_S: dict[str, Any] = {
     "parse": functools.partial(read_frequency, unit="rad/s"),
     "metavar": "FREQUENCY",
@@ -44,14 +45,15 @@ RATIO: dict[str, Any] = {"parse": read_ratio, "metavar": "RATIO", "typed": str |
 
 @dataclass(frozen=True)
 class Option:
-    """What a field of a request is beside its name, type and default.
+    """The declaration of an option: everything but the name, type and default of its field.
 
-    ``unit`` is that of a linear axis with a voltage command ("" for a ratio): the number is checked against its
-    plausible range. ``limits`` are the least and the largest number, ``choices`` the words allowed. ``flags`` replace
-    the flag made of the name. ``parse`` reads the text of the command line; ``read`` makes the value from a name or a
-    path and the axis of the request. ``writes`` is the kind of file written to the path, the kinds by suffix, such as
-    ``.csv``, or those by the name of each file written to a folder. An option that is ``printed`` changes what is
-    printed, not the document. A ``hidden`` one is for Python alone.
+    - ``unit``: on a linear axis with a voltage command, "" for a ratio. The number must lie in its plausible range.
+    - ``limits``: smallest and largest value; ``choices``: the allowed words.
+    - ``flags``: instead of the flag that follows from the name.
+    - ``parse``: function of the text on the command line; ``read``: function of a name or path and the request's axis.
+    - ``writes``: the kind of the output file, a mapping from suffix, such as ``.csv``, to kind, or a mapping from the
+      names of the files in an output folder to their kinds.
+    - ``printed``: the option changes the printed text, not the document; ``hidden``: it is not on the command line.
     """
 
     help: str = ""
@@ -70,7 +72,7 @@ class Option:
 
 
 def option(default: Any, help: str, **declaration: Any) -> Any:
-    """A field of a request; ``declaration`` are the other fields of :class:`Option`, ``default`` ``...`` for none."""
+    """A field of a request with the ``declaration`` of an :class:`Option`; ``default`` is ``...`` if it is required."""
     return field(default=MISSING if default is ... else default, metadata={OPTION: Option(help, **declaration)})
 
 
@@ -78,9 +80,9 @@ def option(default: Any, help: str, **declaration: Any) -> Any:
 class Request:
     """Base of every request.
 
-    ``given`` are the names of the fields that the user set, ``sources`` the names and paths that values were read from;
-    ``progress`` gets the stage and the share done; with ``overwrite`` files that hold something else may be replaced.
-    Other fields that are no options are for Python alone.
+    ``given`` holds the names of the fields that the user set, ``sources`` the names and paths of the values that were
+    read. ``progress`` is called with the stage and the completed share. ``overwrite`` allows replacing files of another
+    kind. Fields that are no options can be set from Python only.
 
     >>> @dataclass(frozen=True)
     ... class Push(Request):
@@ -98,11 +100,11 @@ class Request:
     sources: Mapping[str, Any] = field(default_factory=dict, kw_only=True, repr=False, compare=False)
     progress: Progress = field(default=no_progress, kw_only=True, repr=False, compare=False)
     overwrite: bool = field(default=False, kw_only=True, repr=False, compare=False)
-    overwrites: ClassVar[bool] = False  # whether it checks ``overwrite`` itself, beside options that are written
+    overwrites: ClassVar[bool] = False  # whether the command has --force although no option declares ``writes``
 
     def __post_init__(self) -> None:
         axis = getattr(self, "axis", None)
-        if isinstance(axis, str | Path):  # of a request made without make_request
+        if isinstance(axis, str | Path):  # the request was not made by make_request
             about: Option = type(self).__dataclass_fields__["axis"].metadata[OPTION]
             object.__setattr__(self, "axis", axis if about.read is None else about.read(axis, None))
         for declared in _declared_by(type(self)).checked:
@@ -110,13 +112,13 @@ class Request:
 
     @property
     def units(self) -> Units:
-        """The units of its axis, or of a linear one."""
+        """The units of the axis, or of a linear axis if the request has none."""
         return getattr(getattr(self, "axis", None), "units", LINEAR)
 
     def refuse(self, names: Iterable[str], why: str) -> None:
-        """Raise :class:`InputError` with ``why`` if one of ``names``, which would have no effect, is set.
+        """Raise :class:`InputError` with ``why`` if one of the options ``names`` is set; it would have no effect.
 
-        An option is set where the user gave it, even with its default, or where it has another value.
+        An option is set if the user gave it, even with its default value, or if it differs from its default.
         """
         declared = {entry.name: entry for entry in options_of(type(self))}
         unused = [name for name in names if name in self.given or self._changed(declared[name])]
@@ -124,12 +126,12 @@ class Request:
             raise InputError(f"{', '.join(f'`{name}`' for name in unused)}: {why}")
 
     def _changed(self, entry: Field[Any]) -> bool:
-        """Whether the value of an option differs from its default; one that is read from a name does not tell."""
+        """Whether an option differs from its default; False for one that is read from a name or a path."""
         return entry.metadata[OPTION].read is None and getattr(self, entry.name) != entry.default
 
 
 def _check(declared: Field[Any], value: Any, units: Units) -> None:
-    """Check ``value`` of a field against unit, limits and choices."""
+    """Raise :class:`InputError` if ``value`` violates the choices, limits or plausible range of its option."""
     about, name = declared.metadata[OPTION], f"`{declared.name}`"
     if value is None:
         return
@@ -148,18 +150,18 @@ def _check(declared: Field[Any], value: Any, units: Units) -> None:
 
 @dataclass(frozen=True)
 class _Declared:
-    """The options of a request, arguments first: all, those checked, and those read, the axis first."""
+    """The options of a request: all (arguments first), those to check, and those to read (the axis first)."""
 
     options: tuple[Field[Any], ...]
     checked: tuple[Field[Any], ...]
     read: tuple[Field[Any], ...]
 
 
-_declared: dict[type[Request], _Declared] = {}  # once for each request, as a simulation is called very often
+_declared: dict[type[Request], _Declared] = {}  # cached, as a simulation is called very often
 
 
 def _declared_by(request: type[Request]) -> _Declared:
-    """What ``request`` declares."""
+    """The options of ``request``, from the cache."""
     if request not in _declared:
         fields = [entry for entry in dataclasses.fields(request) if OPTION in entry.metadata]
         options = sorted(fields, key=lambda entry: not entry.metadata[OPTION].argument)
@@ -184,7 +186,7 @@ def options_of(request: type[Request]) -> tuple[Field[Any], ...]:
 
 
 def flags_of(declared: Field[Any]) -> tuple[str, ...]:
-    """The flags of an option on the command line, the one that messages name first; an argument has its name there."""
+    """The command-line flags of an option, first the one used in messages; for an argument its name in capitals."""
     if declared.metadata[OPTION].argument:
         return (declared.name.upper(),)
     return declared.metadata[OPTION].flags or (f"--{declared.name.strip('_').replace('_', '-')}",)
@@ -200,12 +202,13 @@ def make_request(
     on_units: Callable[[Units], None] = lambda units: None,
     **more: Any,
 ) -> RequestType:
-    """A request of ``kind`` from ``values``: texts, names and paths are read, the axis first, for it tells how to.
+    """A request of ``kind`` from ``values``, whose texts, names and paths are read.
 
-    ``given`` are the names that the user set; ``more`` are fields that are no options. ``on_units`` is called with
-    the units of the axis. The options are checked before records are read.
+    The axis is read first, since records are read on it; then options are checked, then records are read. ``given``
+    are the names that the user set; ``more`` are fields that are no options. ``on_units`` is called with the units of
+    the axis.
     """
-    made, sources, late = dict(values), {}, []
+    fields, sources, deferred = dict(values), {}, []
     for entry in _declared_by(kind).read:
         name, reader = entry.name, entry.metadata[OPTION].read
         value = values.get(name, entry.default)
@@ -213,21 +216,21 @@ def make_request(
             sources[name] = value
         if value is MISSING:
             continue
-        made[name] = value
+        fields[name] = value
         if reader is not None and name != "axis":
-            late.append(entry)
+            deferred.append(entry)
             continue
-        made[name] = _read(entry, value, made.get("axis"))
+        fields[name] = _read(entry, value, fields.get("axis"))
         if name == "axis":
-            on_units(getattr(made[name], "units", LINEAR))
-    request = kind(**made, given=frozenset(given), sources=sources, **more)
-    records = {entry.name: _read(entry, made[entry.name], made.get("axis")) for entry in late}
-    changed = {name: value for name, value in records.items() if value is not made[name]}
+            on_units(getattr(fields[name], "units", LINEAR))
+    request = kind(**fields, given=frozenset(given), sources=sources, **more)
+    records = {entry.name: _read(entry, fields[entry.name], fields.get("axis")) for entry in deferred}
+    changed = {name: value for name, value in records.items() if value is not fields[name]}
     return dataclasses.replace(request, **changed) if changed else request
 
 
 def _read(entry: Field[Any], value: Any, axis: Any) -> Any:
-    """``value`` of a field, with a text or a path in it made what it stands for."""
+    """``value`` of a field; text and paths, also in a list, are replaced by what they are parsed or read to."""
     about: Option = entry.metadata[OPTION]
     if isinstance(value, list | tuple) and (about.read or about.parse):
         return tuple(_read(entry, member, axis) for member in value)
@@ -246,7 +249,7 @@ Parameters = ParamSpec("Parameters")
 
 
 def typed(function: Callable[Parameters, Answer]) -> Callable[Parameters, Answer]:
-    """Let ``function`` refuse texts and None in the place of numbers, axes and records, in one line.
+    """Make ``function`` raise :class:`InputError` for text or None in place of a number, an axis or a record.
 
     >>> @typed
     ... def half(length: float) -> float:
@@ -257,34 +260,34 @@ def typed(function: Callable[Parameters, Answer]) -> Callable[Parameters, Answer
     emps_design.errors.InputError: `length`: found '3 mm', expected a number
     """
     signature = inspect.signature(function)
-    plain = _plain(signature)
+    kinds = _checkable_kinds(signature)
 
     @functools.wraps(function)
     def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Answer:
-        _refuse_other_kinds(plain, signature.bind(*arguments, **named).arguments)
+        _refuse_other_kinds(kinds, signature.bind(*arguments, **named).arguments)
         return function(*arguments, **named)
 
     return call
 
 
-def _plain(signature: inspect.Signature) -> dict[str, list[str]]:
-    """The parameters that take nothing but what ``KINDS`` names, and what each takes."""
-    kinds = {name: str(each.annotation).split(" | ") for name, each in signature.parameters.items()}
-    return {name: own for name, own in kinds.items() if set(own) <= KINDS.keys()}
+def _checkable_kinds(signature: inspect.Signature) -> dict[str, list[str]]:
+    """The types of each parameter all of whose types are in ``KINDS``."""
+    types = {name: str(each.annotation).split(" | ") for name, each in signature.parameters.items()}
+    return {name: kinds for name, kinds in types.items() if set(kinds) <= KINDS.keys()}
 
 
-def _refuse_other_kinds(plain: Mapping[str, list[str]], values: Mapping[str, Any]) -> None:
+def _refuse_other_kinds(checkable: Mapping[str, list[str]], values: Mapping[str, Any]) -> None:
     for name, value in values.items():
-        kinds = plain.get(name)
+        kinds = checkable.get(name)
         if kinds and (isinstance(value, str | Path) or (value is None and "None" not in kinds)):
             raise InputError(f"`{name}`: found {value!r}, expected {' or '.join(KINDS[kind] for kind in kinds)}")
 
 
 def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[..., Answer]]:
-    """Let a function whose last parameter is a request be called with the fields of the request.
+    """Decorate a function whose last parameter is a request, so that it takes the fields of the request instead.
 
-    ``help()`` shows every option with its unit and meaning. A request itself is taken as it is. Further keywords may
-    follow the request.
+    ``help()`` shows every option with its unit and meaning. The function also accepts a request as such, and further
+    keywords after it.
 
     >>> @dataclass(frozen=True)
     ... class Push(Request):
@@ -304,18 +307,18 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
         signature = _signature(kind, function)
         others = [entry.name for entry in _for_python(kind)]
         read = {entry.name for entry in _declared_by(kind).read}
-        plain = {name: kinds for name, kinds in _plain(signature).items() if name not in read}
+        checkable = {name: kinds for name, kinds in _checkable_kinds(signature).items() if name not in read}
 
         @functools.wraps(function)
         def call(*arguments: Any, **named: Any) -> Answer:
             if len(arguments) == len(before) + 1 and isinstance(arguments[-1], kind):
                 return function(*arguments, **named)
             values = signature.bind(*arguments, **named).arguments
-            _refuse_other_kinds(plain, values)
-            passed = [values.pop(parameter.name, parameter.default) for parameter in before]
-            own = {name: value for name in others if (value := values.pop(name, None)) is not None}
+            _refuse_other_kinds(checkable, values)
+            leading = [values.pop(parameter.name, parameter.default) for parameter in before]
+            no_options = {name: value for name in others if (value := values.pop(name, None)) is not None}
             more = {name: value for parameter in after for name, value in values.pop(parameter.name, {}).items()}
-            return function(*passed, make_request(kind, values, values, **own), **more)
+            return function(*leading, make_request(kind, values, values, **no_options), **more)
 
         described: Any = call
         described.__signature__ = signature
@@ -328,13 +331,13 @@ def takes(kind: type[Request]) -> Callable[[Callable[..., Answer]], Callable[...
 
 def _around_request(function: Callable[..., Any]) -> tuple[list[inspect.Parameter], list[inspect.Parameter]]:
     """The parameters of ``function`` before its request, such as self, and after it: further keywords, if any."""
-    own = list(inspect.signature(function).parameters.values())
-    last = len(own) - (own[-1].kind is inspect.Parameter.VAR_KEYWORD)
-    return own[: last - 1], own[last:]
+    parameters = list(inspect.signature(function).parameters.values())
+    last = len(parameters) - (parameters[-1].kind is inspect.Parameter.VAR_KEYWORD)
+    return parameters[: last - 1], parameters[last:]
 
 
 def _signature(kind: type[Request], function: Callable[..., Any]) -> inspect.Signature:
-    """The signature of ``function`` with the fields of ``kind`` in the place of its request."""
+    """The signature of ``function`` with the fields of ``kind`` in place of its request."""
     before, after = _around_request(function)
     options = [
         inspect.Parameter(
@@ -354,13 +357,15 @@ def _signature(kind: type[Request], function: Callable[..., Any]) -> inspect.Sig
 
 
 def _for_python(kind: type[Request]) -> list[Field[Any]]:
-    """The fields of ``kind`` that are no options, and that a caller in Python may set."""
-    own = ("given", "sources", "overwrite")
-    return [entry for entry in dataclasses.fields(kind) if OPTION not in entry.metadata and entry.name not in own]
+    """The fields of ``kind`` that are no options and that a caller in Python may set."""
+    internal = ("given", "sources", "overwrite")
+    return [entry for entry in dataclasses.fields(kind) if OPTION not in entry.metadata and entry.name not in internal]
 
 
 def types_of(kind: type[Request]) -> dict[str, Any]:
     """The type of each option on the command line."""
     typed = {entry.name: entry.metadata[OPTION].typed for entry in options_of(kind)}
     hints = get_type_hints(kind) if None in typed.values() else {}
-    return {name: hints[name] if own is None else own for name, own in typed.items()}
+    return {
+        name: hints[name] if on_command_line is None else on_command_line for name, on_command_line in typed.items()
+    }

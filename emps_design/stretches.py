@@ -1,4 +1,4 @@
-"""Stretches of true values."""
+"""Runs of true values in an array."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def stretches(holds: np.ndarray) -> list[tuple[int, int]]:
-    """First place and the one after the last of each stretch of true values of ``holds`` (n,).
+    """Start and stop index (exclusive) of each run of true values in ``holds`` (n,).
 
     >>> stretches(np.array([True, True, False, True]))
     [(0, 2), (3, 4)]

@@ -1,6 +1,6 @@
 """The tables of an axis file that describe the machine: mechanics, drive, sampling and effects.
 
-A table has numbers with bounds, units and words. Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset``
+Every number has bounds, a unit and a description. Sign convention: ``G_tau u = M qdd + F_v qd + F_c sign(qd) + offset``
 (load side, SI).
 """
 
@@ -25,8 +25,8 @@ Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 FACTORS = "current_gain", "reduction", "torque_constant"  # whose product is the force gain
 NO_LIMIT = 1e8  # largest command where the limit is unknown: accepted in every unit
 
-# The numbers of the baseline, :class:`Mechanics`, by the names of identification and diagnosis: an axis file calls the
-# constant force ``offset``. Bounds and scales are those of a fit of an ordinary linear axis.
+# The parameters of the baseline, :class:`Mechanics`, by their names in identification and diagnosis; an axis file calls
+# the constant force ``offset``. Bounds and scales are those of a fit on an ordinary linear axis.
 BASELINE = (
     Parameter("mass", "M", "kg", lower=1e-6, text="load-side equivalent mass", scale=1.0),
     Parameter("viscous", "F_v", "N/(m/s)", lower=0.0, text="viscous friction", scale=10.0),
@@ -36,7 +36,7 @@ BASELINE = (
 
 
 def parameter(description: str, unit: str, default: Any = ...) -> Any:
-    """A field of a law's table: what it is, its unit, and its default (none: it has to be given)."""
+    """A field of a law's table with description, unit and default; without a default it is required."""
     return Field(default, description=description, json_schema_extra={"unit": unit})
 
 
@@ -87,9 +87,9 @@ class Drive(AxisTable):
     """
 
     command: Literal["voltage", "current", "torque", "force", "duty"] = Field(
-        "voltage", description="what the command of a record is"
+        "voltage", description="kind of command in the records"
     )
-    command_unit: str = Field("V", description="what that is counted in")
+    command_unit: str = Field("V", description="unit of the command")
     force_gain: Positive = Field(description="G_tau = G_i r k_t", json_schema_extra={"unit": "N/V"})
     current_gain: Positive | None = Field(None, description="G_i", json_schema_extra={"unit": "A/V"})
     reduction: Positive | None = Field(None, description="r", json_schema_extra={"unit": "rad/m"})
@@ -99,15 +99,16 @@ class Drive(AxisTable):
         0.0, description="time constant of the current loop, 0: ideal", json_schema_extra={"unit": "s"}
     )
     back_emf: NonNegative = Field(
-        0.0, description="back-EMF, of a motor without a current loop", json_schema_extra={"unit": "volt/(m/s)"}
+        0.0, description="back-EMF of a motor without a current loop", json_schema_extra={"unit": "volt/(m/s)"}
     )
     supply: Positive | None = Field(
-        None, description="supply voltage of a duty, where no record has it", json_schema_extra={"unit": "volt"}
+        None, description="supply voltage for a duty, if not recorded", json_schema_extra={"unit": "volt"}
     )
 
     @model_validator(mode="before")
     @classmethod
-    def _one_spelling(cls, table: Any) -> Any:
+    def _normalise(cls, table: Any) -> Any:
+        """Complete the table: the force gain from a data sheet, the command's unit, and ``command_limit``."""
         if not isinstance(table, dict):
             return table
         table, command = _force_gain_from_data_sheet(table), table.get("command", "voltage")
@@ -118,17 +119,20 @@ class Drive(AxisTable):
             table["command_unit"] = check_command_unit(command, unit)
         limits = [table[key] for key in ("voltage_limit", "command_limit") if key in table]
         if command != "voltage" and table.pop("voltage_limit", None) is not None:
-            raise ValueError(f"voltage_limit: found one where the command is a {command}, expected command_limit")
+            raise ValueError(f"voltage_limit: found with a {command} command, expected command_limit")
         if len(limits) == 2 and limits[0] != limits[1]:
             raise ValueError(
-                f"voltage_limit: found {limits[0]!r} beside command_limit {limits[1]!r}, expected one of them"
+                f"voltage_limit: found {limits[0]!r} and command_limit {limits[1]!r}, expected only one of them"
             )
         table.pop("voltage_limit", None)
         table.setdefault("command_limit", *limits[:1] or ({"voltage": 10.0, "duty": 1.0}.get(command, NO_LIMIT),))
         if command != "duty" and table.get("supply") is not None:
-            raise ValueError(f"supply: found one where the command is a {command}, expected it of a duty alone")
+            raise ValueError(f"supply: found with a {command} command, expected only with a duty command")
         if command not in ("voltage", "duty") and table.get("back_emf"):
-            raise ValueError(f"back_emf: found one where the command is a {command}, whose loop takes no notice of it")
+            raise ValueError(
+                f"back_emf: found with a {command} command, expected only with a voltage or duty command: the drive's "
+                "inner loop compensates the back-EMF"
+            )
         return table
 
     @property
@@ -141,8 +145,8 @@ class Drive(AxisTable):
             return self.force_gain
         if self.supply is None:
             raise AxisError(
-                "drive.supply: missing, expected the supply that the duty is a share of, or a record in which a column "
-                "is mapped to it"
+                "drive.supply: missing, expected the supply voltage of the duty, or a record with a column that is "
+                "mapped to it"
             )
         return self.force_gain * self.supply
 
@@ -152,19 +156,18 @@ class Drive(AxisTable):
         return self.force_gain * self.back_emf
 
     @model_serializer(mode="wrap")
-    def _as_written(self, table: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Write a voltage command in V with its ``voltage_limit``, and leave out defaults."""
-        own = table(self)
+    def _serialise(self, table: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The table without defaults; the limit of a voltage command is ``voltage_limit``."""
         defaults = {"command": "voltage", "command_unit": COMMANDS[self.command], "back_emf": 0.0}
         return {
             "voltage_limit" if key == "command_limit" and self.command == "voltage" else key: value
-            for key, value in own.items()
+            for key, value in table(self).items()
             if key not in defaults or value != defaults[key]
         }
 
 
 def _force_gain_from_data_sheet(table: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a drive's table with the force gain from its data sheet, if that is complete and no other is given."""
+    """A copy of a drive's table; the force gain defaults to G_i r k_t if the table has the three factors."""
     if not any(name in table for name in FACTORS):
         return dict(table)
     if any(name not in table for name in FACTORS):
@@ -180,10 +183,10 @@ class Sampling(AxisTable):
 
     period: Positive = Field(description="sampling period", json_schema_extra={"unit": "s"})
     encoder_resolution: NonNegative = Field(
-        0.0, description="one step of the encoder on the load side, 0: exact", json_schema_extra={"unit": "m"}
+        0.0, description="encoder step on the load side, 0: exact", json_schema_extra={"unit": "m"}
     )
     computation_delay: Annotated[int, Field(ge=0, le=1000, strict=True)] = Field(
-        0, description="whole samples between measurement and voltage", json_schema_extra={"unit": "samples"}
+        0, description="whole samples from measurement to voltage", json_schema_extra={"unit": "samples"}
     )
 
 
@@ -202,7 +205,7 @@ class AxisEffect(AxisTable):
         return table
 
     @model_validator(mode="after")
-    def _known(self) -> AxisEffect:
+    def _check_parameters(self) -> AxisEffect:
         self.effect.values(self.parameters)
         self.parameters.update(self.effect.completed(self.parameters))
         return self

@@ -1,7 +1,7 @@
-"""Units of records and of one axis; the rest of the package is independent of them.
+"""Units of records and of an axis. No other part of the package depends on them.
 
-The package computes in SI, and names everything as for a linear axis with a voltage command: a mass in kg, a force in
-N, a position in m, a command in V. :class:`Units` translates to another axis: an inertia in kg m^2, a torque in N m, an
+The package computes in SI and uses the names of a linear axis with a voltage command: a mass in kg, a force in N, a
+position in m, a command in V. :class:`Units` translates to another axis: an inertia in kg m^2, a torque in N m, an
 angle in rad, a current in A.
 """
 
@@ -18,9 +18,9 @@ from emps_design.errors import InputError
 from emps_design.quantities import check_magnitude, display_unit
 
 MOTIONS = ("linear", "rotary")
-TURN = 5.0  # rad of a rotary axis for a metre of a linear one: 1.2 rad for 0.24 m
-COMMANDS = {"voltage": "V", "current": "A", "torque": "N m", "force": "N", "duty": ""}  # and the unit of each
-COUNTS = "counts"  # of an encoder or a converter: only a scale says how much one is
+TURN = 5.0  # rad: the default travel of a rotary axis per metre of a linear one, 1.2 rad for 0.24 m
+COMMANDS = {"voltage": "V", "current": "A", "torque": "N m", "force": "N", "duty": ""}  # with their units
+COUNTS = "counts"  # of an encoder or a converter: needs a scale
 
 _VOLTAGES = {"V": 1.0, "mV": 1e-3, "kV": 1e3}
 _CURRENTS = {"A": 1.0, "mA": 1e-3}
@@ -33,17 +33,17 @@ _RPM, _DEG, _REV = 2.0 * math.pi / 60.0, math.pi / 180.0, 2.0 * math.pi
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "deg": _DEG, "rev": _REV}
 _SPEEDS = {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6, "m/min": 1.0 / 60.0, "mm/min": 1e-3 / 60.0}
-_TURNING = {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "rpm": _RPM, "rev/s": _REV}
+_ANGULAR_SPEEDS = {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEG, "rpm": _RPM, "rev/s": _REV}
 # Units of a record's columns and their factors to SI, by motion.
 _MECHANICAL = {
     "linear": {"position": _LENGTHS, "velocity": _SPEEDS, "force": _FORCES},
-    "rotary": {"position": _ANGLES, "velocity": _TURNING, "force": _TORQUES},
+    "rotary": {"position": _ANGLES, "velocity": _ANGULAR_SPEEDS, "force": _TORQUES},
 }
 
 _KNOWN = {COUNTS}.union(
     _TIMES, *_ELECTRICAL.values(), *(units for columns in _MECHANICAL.values() for units in columns.values())
 )
-# other spellings, in small letters and without the s of a plural
+# other spellings, in lower case and without a plural s
 _SPELLINGS = {
     "°": "deg", "degree": "deg", "grad": "deg", "°/s": "deg/s", "dps": "deg/s", "radian": "rad", "turn": "rev",
     "turn/s": "rev/s", "sec": "s", "second": "s", "msec": "ms", "usec": "us", "percent": "%", "pct": "%", "inch": "in",
@@ -52,26 +52,26 @@ _SPELLINGS = {
     "amp": "A", "newton": "N",
 }  # fmt: skip
 
-# quantities of a linear axis -> of a rotary one
-_TURNED = {
+# words of a linear axis -> of a rotary one
+_ROTARY_WORDS = {
     "mass": "inertia", "masses": "inertias", "force": "torque", "forces": "torques", "carriage": "load",
     "newton": "newton metre", "newtons": "newton metres", "metre": "radian", "metres": "radians",
 }  # fmt: skip
 _COMMAND_WORDS = {"current": "current", "torque": "torque command", "force": "force command", "duty": "duty"}
 _COMMAND_NAMES = {"V": "volt", "A": "ampere", "N m": "newton metre", "N": "newton", "%": "per cent", "": "unit"}
 
-# What a text has units of the linear axis in, longest first; "volt" is one on every axis.
+# Units of the linear axis as they occur in a text, longest first; "volt" is a voltage on every axis.
 _PREFIXED = {"nm": 1e-9, "µm": 1e-6, "um": 1e-6, "mm": 1e-3, "mV": 1e-3, "kV": 1e3, "mN": 1e-3, "kN": 1e3}
 _UNIT = (
     r"(?:\(m/s\)/N|[NV]/\(m/s(?:\^2)?\)|N/\(m/s\)\^2|[µun]?m/s(?:\^[23])?|mm/s(?:\^2)?|N m(?:/A)?|N/(?:[µum]?m|V|s)|N s"
     r"|kg m\^2|kg|[mk]?[NV]|[nµum]?m|1/m)(?![\w^(%]|/[\w(]| m\b)"
 )
-_TAKE_A_PREFIX = ("V", "A")  # of the units of a command
+_TAKE_A_PREFIX = ("V", "A")  # the command units that allow a prefix
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]")
 
 
 def spelled(unit: str) -> str:
-    """Return ``unit`` in the spelling of this package; an unknown one unchanged.
+    """Return ``unit`` in the spelling of this package, or unchanged if it is unknown.
 
     >>> spelled("µm"), spelled("Nm"), spelled("N.m"), spelled("°"), spelled("1/min"), spelled("r/min"), spelled("sec")
     ('um', 'N m', 'N m', 'deg', 'rpm', 'rpm', 's')
@@ -87,7 +87,7 @@ def spelled(unit: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Whether ``text`` is a unit of any column of a record, or a mark for no unit.
+    """Whether ``text`` is a unit of a record's column, or a mark such as - for no unit.
 
     >>> is_unit("r/min"), is_unit("Nm"), is_unit("-"), is_unit("Torque")
     (True, True, True, False)
@@ -114,7 +114,7 @@ class Units:
 
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> Units:
-        """The units of the plain data of an axis, which may be invalid.
+        """The units of an axis given as plain data, which may be invalid.
 
         >>> Units.of({"motion": "rotary", "drive": {"command": "current"}})
         Units(motion='rotary', command='current', command_unit='A')
@@ -160,12 +160,12 @@ class Units:
         if self.command == "duty" and base == "N/V":
             base = "N/volt"
 
-        def own(match: re.Match[str]) -> str:
+        def translate(match: re.Match[str]) -> str:
             unit = self._token(match[3])
             unit = f"{match[2]}{unit}" if unit else "1"
             return f"{match[1]}({unit})" if match[1] and " " in unit else f"{match[1]}{unit}"
 
-        return re.sub(r"(/?)\b([nµumk]?)(N m|kg m\^2|kg|N|V|m|volt)\b", own, base)
+        return re.sub(r"(/?)\b([nµumk]?)(N m|kg m\^2|kg|N|V|m|volt)\b", translate, base)
 
     def _token(self, token: str) -> str:
         if token == "volt":
@@ -175,7 +175,7 @@ class Units:
         return {"kg": "kg m^2", "N": "N m", "m": "rad"}.get(token, token) if self.rotary else token
 
     def words(self, text: str) -> str:
-        """``text`` in this axis's words for mass, force, carriage and voltage; names of files and keys stay.
+        """``text`` in this axis's words for mass, force, carriage and voltage; names of files and keys do not change.
 
         >>> Units("rotary", "torque", "%").words("Mass and voltage, mechanics.mass"), Units().words("mass")
         ('Inertia and torque command, mechanics.mass', 'mass')
@@ -184,11 +184,11 @@ class Units:
         if not table:
             return text
 
-        def own(match: re.Match[str]) -> str:
+        def translate(match: re.Match[str]) -> str:
             word = table[match[0].lower()]
             return word.capitalize() if match[0][0].isupper() else word
 
-        return self._words.sub(own, text)
+        return self._words.sub(translate, text)
 
     @cached_property
     def _words(self) -> re.Pattern[str]:
@@ -196,7 +196,7 @@ class Units:
 
     @cached_property
     def _table(self) -> dict[str, str]:
-        table = dict(_TURNED) if self.rotary else {}
+        table = dict(_ROTARY_WORDS) if self.rotary else {}
         if self.command != "voltage":
             word, name = _COMMAND_WORDS[self.command], _COMMAND_NAMES.get(self.command_unit, self.command_unit)
             plural = word if self.command == "duty" else f"{word}s"
@@ -204,7 +204,7 @@ class Units:
         return table
 
     def label(self, text: str) -> str:
-        """``text`` in this axis's words, with units in brackets in its own: for plot axes, titles and headings.
+        """``text`` in this axis's words and, in brackets, this axis's units: for plot axes, titles and headings.
 
         >>> Units(command="duty", command_unit="").label("voltage margin to the limit [V]")  # a duty has no unit
         'duty margin to the limit'
@@ -217,18 +217,18 @@ class Units:
         return self.words(text)
 
     def _leading(self, text: str) -> str:
-        """``text`` with a unit at its start, if any, in this axis's unit."""
-        return re.sub(rf"^({_UNIT})(?=$|[ ,])", lambda match: self._whole(match[1]), text)
+        """``text`` with its leading unit, if any, in this axis's unit."""
+        return re.sub(rf"^({_UNIT})(?=$|[ ,])", lambda match: self._with_prefix(match[1]), text)
 
-    def _whole(self, base: str) -> str:
+    def _with_prefix(self, base: str) -> str:
         """The unit for ``base``, with a prefix as a factor where this axis's unit cannot take it."""
         prefixed = base[:2] in _PREFIXED and base[1] == "V" and self.command_unit not in _TAKE_A_PREFIX
         return f"{_PREFIXED[base[:2]]:g} {self.command_unit}" if prefixed else self.unit(base)
 
     def quantity(self, value: float, base: str, spec: str | Callable[[float], str] = ".4g") -> str:
-        """``value`` [SI of ``base``] with its unit on this axis; ``base`` may have a prefix, such as mm or mV.
+        """``value`` [SI] as text, with this axis's unit for ``base``, which may have a prefix, such as mm or mV.
 
-        A speed of a rotary axis is given in rpm as well. ``spec`` formats the number, or is a function that does.
+        A speed of a rotary axis is also given in rpm. ``spec`` is a format specification or a formatting function.
 
         >>> joint = Units("rotary", "current", "A")
         >>> joint.quantity(1.2, "N"), joint.quantity(0.012, "mm/s"), joint.quantity(1.5, "m/s", ".3g")
@@ -243,8 +243,8 @@ class Units:
             return spec(number) if callable(spec) else format(number, spec)
 
         shown = f"{text(value / prefix * factor)} {unit}".rstrip()
-        turning = self.rotary and base == "m/s" and abs(value) >= 0.1
-        return f"{shown} ({text(value / _RPM)} rpm)" if turning else shown
+        with_rpm = self.rotary and base == "m/s" and abs(value) >= 0.1
+        return f"{shown} ({text(value / _RPM)} rpm)" if with_rpm else shown
 
     def word(self, name: str) -> str:
         """This axis's word for ``name``, a word of the linear axis with a voltage command.
@@ -255,7 +255,7 @@ class Units:
         return self._table.get(name, name)
 
     def read(self, base: str) -> tuple[str, float]:
-        """The unit in which a number of ``base``, perhaps with a prefix, is displayed on this axis, and the factor.
+        """This axis's display unit for ``base``, which may have a prefix, and the factor from SI with that prefix.
 
         >>> Units("rotary").read("mm"), Units("rotary").read("N"), Units().read("mm")
         (('deg', 0.057295779513082325), ('N m', 1.0), ('mm', 1.0))
@@ -272,7 +272,7 @@ class Units:
         return check_magnitude(name, value, self.unit(base), positive)
 
     def display(self, size: float, base: str) -> tuple[str, float]:
-        """The unit in which ``size`` [SI of ``base``, perhaps this axis's own unit] is displayed, and the factor.
+        """The display unit for ``size`` [SI], and the factor to it; ``base`` may be this axis's unit already.
 
         >>> Units("rotary").display(0.5, "m"), Units("rotary").display(3e-6, "m"), Units().display(0.25, "m")
         (('deg', 57.29577951308232), ('µrad', 1000000.0), ('mm', 1000.0))
@@ -282,7 +282,7 @@ class Units:
         return display_unit(size, self.unit(base))
 
     def readable(self, size: float, base: str) -> tuple[str, float]:
-        """The unit in which ``size`` [SI of ``base``] is easy to read on this axis, and the factor to it.
+        """A readable unit for ``size`` [SI of ``base``] on this axis, and the factor to it.
 
         >>> joint = Units("rotary", "current", "A")
         >>> joint.readable(0.0123, "V"), Units().readable(0.0123, "V"), joint.readable(2e-3, "s")
@@ -295,7 +295,7 @@ class Units:
         return unit, factor * more
 
     def factor(self, unit: str, column: str, scale: float | None = None) -> float:
-        """Factor from ``unit`` to SI, or for a command to its unit on this axis.
+        """Factor from ``unit`` to SI, or for a command to the command unit of this axis.
 
         ``column`` is time, position, velocity, force, command or supply. ``scale`` multiplies the factor; counts need
         one. Raises :class:`InputError` for a unit of another quantity.
@@ -308,24 +308,24 @@ class Units:
             ...
         emps_design.errors.InputError: rotary position: found unit 'mm', expected rad, mrad, urad, deg, rev or counts
         """
-        written = spelled(unit)
+        unit_name = spelled(unit)
         factor = 1.0 if scale is None else float(scale)
         if not math.isfinite(factor) or factor == 0.0:
             raise InputError(f"{column}: found scale {factor:g}, expected a finite number other than 0")
-        if written == COUNTS and column != "time":
+        if unit_name == COUNTS and column != "time":
             if scale is None:
-                raise InputError(f"{column}: found unit {unit!r} without a scale, expected the scale of one count too")
+                raise InputError(f"{column}: found unit {unit!r} without a scale, expected the scale of one count")
             return factor
         known = self._known(column)
-        if written in known:
-            return factor * known[written]
+        if unit_name in known:
+            return factor * known[unit_name]
         *most, last = [name or "none" for name in known] + ([COUNTS] if column != "time" else [])
         expected = f"{', '.join(most)} or {last}" if most else last
         motion = f"{self.motion} " if column in _MECHANICAL[self.motion] else ""
         raise InputError(f"{motion}{column}: found unit {unit!r}, expected {expected}")
 
     def command_in(self, unit: str) -> float | None:
-        """Factor from this axis's command unit to ``unit``; None where it is unknown, such as for % of rated.
+        """Factor from this axis's command unit to ``unit``; None if it is unknown, such as for % of rated.
 
         >>> Units(command="current", command_unit="mA").command_in("A"), Units(command="current").command_in("V")
         (0.001, None)
@@ -347,11 +347,11 @@ class Units:
         return _MECHANICAL[self.motion][column]
 
 
-LINEAR = Units()  # a linear axis with a voltage command, for which the library computes
+LINEAR = Units()  # a linear axis with a voltage command, the convention of the library
 
 
 def check_command_unit(command: str, unit: str) -> str:
-    """Return the spelling of a ``unit`` of ``command``, or raise :class:`InputError` for any other unit.
+    """Return ``unit`` in the spelling of this package, or raise :class:`InputError` if it is no unit of ``command``.
 
     >>> check_command_unit("torque", "Nm"), check_command_unit("current", "% of rated")
     ('N m', '% of rated')
@@ -365,7 +365,7 @@ def check_command_unit(command: str, unit: str) -> str:
         raise InputError(f"command_unit: found {unit!r}, expected a unit of at most 20 characters on one line")
     if command == "duty":
         if written:
-            raise InputError(f"command_unit: found {unit!r}, expected none: a duty is a share of the supply, at most 1")
+            raise InputError(f"command_unit: found {unit!r}, expected none: a duty is a ratio to the supply, at most 1")
         return written
     kinds = [kind for kind, known in _ELECTRICAL.items() if written in known and kind != "duty"]
     if not written or (kinds and command not in kinds):

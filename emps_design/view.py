@@ -1,7 +1,7 @@
-"""What a reader is to see of a result: lines and tables in their order, as data.
+"""Views: the lines and tables that present a result, as data.
 
-One description is rendered as text for the terminal and ``str``, and as HTML for a page, a notebook and a pane of the
-studio. A view is made in the units and words of its axis; a renderer changes no text, but HTML has the signs ± and →.
+A view is rendered as text for the terminal and ``str``, and as HTML for a page, a notebook and a pane of the studio. It
+is in the units and words of its axis. A renderer does not change its text, except that HTML shows +- and -> as ± and →.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 LINES = ("", "good", "warning", "bad", "note", "point", "strong", "prose", "code")  # styles of a line
-STYLES = {"good": "bold green", "bad": "bold red", "strong": "bold"}  # of a line on a terminal
-WHOLE = ("good", "bad", "code")  # styles of a line that is not wrapped
-MARKS = {"note": "note: ", "point": "- "}  # before a line of a list on a terminal
+STYLES = {"good": "bold green", "bad": "bold red", "strong": "bold"}  # rich styles, by style of a line
+UNWRAPPED = ("good", "bad", "code")  # styles of a line that is not wrapped
+MARKS = {"note": "note: ", "point": "- "}  # prefix of a list item on a terminal
 BLOCKS = "▁▂▃▄▅▆▇█"
-ALERT = ' role="alert"'  # of a verdict that a screen reader is to read at once
-NUMBER = re.compile(r"[−+<≤>≥ -]*[0-9]|—$|-$")  # at the start of a cell with a number
+ALERT = ' role="alert"'  # makes a screen reader read a verdict at once
+NUMBER = re.compile(r"[−+<≤>≥ -]*[0-9]|—$|-$")  # the start of a cell with a number
 Cell = Any  # text, a number or None
 
 
 class Html(str):
-    """Text that is HTML already, such as a symbol with its subscript: not escaped, and without its tags as text."""
+    """Text that is HTML, such as a symbol with a subscript: a page does not escape it, a terminal drops its tags."""
 
     __slots__ = ()
 
 
 @dataclass(frozen=True)
 class Line:
-    """A line of text; ``style`` is "", or "good", "warning" and "bad" for a verdict, "strong", "prose" and "code".
+    """A line of text with a ``style``.
 
-    Lines of the styles "note", a warning to read with the numbers, and "point" are lists where they follow one another.
-    A terminal wraps a line at words, but a verdict and code, which stand as they are; a file has it in one line, but
-    prose.
+    The styles are "" (default), "good", "warning" and "bad" for a verdict, "strong", "prose", "code", and "note" and
+    "point" for list items; successive items form a list. A terminal wraps lines at words, except verdicts and code. A
+    file has each line unwrapped, except prose.
     """
 
     text: str
@@ -55,10 +55,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under headings, with a title; a number has four significant digits, None is ``missing``.
+    """Rows under headings, with a title. Numbers have four significant digits; None is shown as ``missing``.
 
-    ``words`` are the headings of columns of text, aligned left as the first one is; the others are aligned right. The
-    first cell of a row is its heading. Headings that are all empty are not shown.
+    The first cell of a row is its heading. The first column and those with a heading in ``words`` are text and aligned
+    left; the others are aligned right. Headings that are all empty are not shown.
     """
 
     headings: Sequence[str]
@@ -90,10 +90,10 @@ View = tuple[Line | Table, ...]
 
 
 class Viewed:
-    """A result with a ``view``: it prints as text and shows itself in a notebook."""
+    """Base of a result with a ``view``: ``str`` and a notebook render it."""
 
     def view(self) -> View:
-        """What a reader is to see of it."""
+        """The lines and tables that present the result."""
         raise NotImplementedError
 
     def __str__(self) -> str:
@@ -104,7 +104,7 @@ class Viewed:
 
 
 def text(view: View, width: int = 80) -> str:
-    """``view`` as text of at most ``width`` columns where its tables fit.
+    """``view`` as text of at most ``width`` columns, unless a table is wider.
 
     >>> print(text((Line("stable", "good"), Table(("", "value", "unit"), [("mass", 95.1089, "kg")], "Loop"))))
     stable
@@ -124,13 +124,13 @@ def text(view: View, width: int = 80) -> str:
 
 
 def show(console: Console, part: Line | Table, wrap: bool = True) -> None:
-    """Print ``part`` on ``console``; unprintable characters, which names may hold, are shown as ``?``."""
+    """Print ``part`` on ``console``; unprintable characters, as names may contain, are shown as ``?``."""
     from rich.text import Text
 
     if isinstance(part, Line):
-        whole = part.style in WHOLE or not (wrap or part.style == "prose")
-        written = f"{MARKS.get(part.style, '')}{_plain(part.text)}"
-        console.print(Text(written, STYLES.get(part.style, "")), soft_wrap=whole)
+        unwrapped = part.style in UNWRAPPED or not (wrap or part.style == "prose")
+        line = f"{MARKS.get(part.style, '')}{_terminal_text(part.text)}"
+        console.print(Text(line, STYLES.get(part.style, "")), soft_wrap=unwrapped)
     else:
         table = _rich(part)
         if console.measure(table, options=console.options.update(width=10_000)).maximum > console.width:
@@ -139,7 +139,7 @@ def show(console: Console, part: Line | Table, wrap: bool = True) -> None:
 
 
 def _rich(table: Table) -> RichTable:
-    """The table with numbers on the right."""
+    """``table`` as a table of rich, with numbers aligned right."""
     from rich import box
     from rich.table import Table as RichTable
 
@@ -154,14 +154,14 @@ def _rich(table: Table) -> RichTable:
     )
     for place, heading in enumerate(table.headings):
         words = place == 0 or heading in table.words
-        shown.add_column(_plain(heading), justify="left" if words else "right", overflow="fold")
+        shown.add_column(_terminal_text(heading), justify="left" if words else "right", overflow="fold")
     for row in table.texts():
-        shown.add_row(*map(_plain, row))
+        shown.add_row(*map(_terminal_text, row))
     return shown
 
 
 def sparkline(values: np.ndarray, width: int = 60) -> str:
-    """The means of ``values`` (n,) drawn in ``width`` characters.
+    """``values`` (n,) drawn as at most ``width`` bars, each the mean of a section.
 
     >>> import numpy as np
     >>> sparkline(np.arange(100.0), 8), sparkline(np.ones(5), 3)
@@ -176,17 +176,17 @@ def sparkline(values: np.ndarray, width: int = 60) -> str:
     return "".join(BLOCKS[round(height)] for height in heights)
 
 
-def _plain(text: str) -> str:
-    """``text`` as a terminal shows it.
+def _terminal_text(text: str) -> str:
+    """``text`` for a terminal: :class:`Html` without tags, and ``?`` for unprintable characters.
 
-    >>> _plain(Html("<i>k</i><sub>v1</sub> &lt; 1")), _plain("a <b>")
+    >>> _terminal_text(Html("<i>k</i><sub>v1</sub> &lt; 1")), _terminal_text("a <b>")
     ('kv1 < 1', 'a <b>')
     """
     return printable(unescape(re.sub(r"<[^<>]*>", "", text)) if isinstance(text, Html) else text)
 
 
 def html(parts: Iterable[Any], other: Callable[[Any], str] | None = None) -> str:
-    """``parts`` of a view as HTML, for a page, a notebook or a pane; ``other`` renders each that is no line.
+    """``parts`` of a view as HTML; ``other`` renders the parts that are no lines, by default :func:`table_html`.
 
     >>> html((Line("stable", "good"), Table(("", "value"), [("gain <", 2.0)], "Loop")))  # doctest: +ELLIPSIS
     '<p class="good">stable</p>\\n<table><caption>Loop</caption><thead><tr><th></th><th>value</th></tr></thead>...'
@@ -212,7 +212,7 @@ def html(parts: Iterable[Any], other: Callable[[Any], str] | None = None) -> str
 
 
 def typeset(text: str) -> str:
-    """``text`` with the signs of a page in place of those of a terminal.
+    """``text`` with ± for +- and → for ->.
 
     >>> typeset("7.4 +- 0.6 N; 1.6 N -> 0.4 N")
     '7.4 ± 0.6 N; 1.6 N → 0.4 N'
@@ -226,14 +226,14 @@ def _escaped(text: str, code: bool = False) -> str:
     return escape(printable(text) if code else typeset(printable(text)), quote=False)
 
 
-def table_html(table: Table, counted: str = "") -> str:
-    """``table`` as HTML, with ``counted``, such as Table 2, before its title; numbers have the class number."""
+def table_html(table: Table, number: str = "") -> str:
+    """``table`` as HTML, with ``number``, such as Table 2, before its title; numeric cells have the class number."""
 
     def cell(text: str, heading: bool) -> str:
         tag, look = ("th", "") if heading else ("td", ' class="number"' * bool(NUMBER.match(text)))
         return f"<{tag}{look}>{_escaped(text)}</{tag}>"
 
-    title = f"<b>{counted}.</b> {_escaped(table.title)}" if counted else _escaped(table.title)
+    title = f"<b>{number}.</b> {_escaped(table.title)}" if number else _escaped(table.title)
     caption = f"<caption>{title}</caption>" if table.title else ""
     head = "".join(cell(text, heading=True) for text in table.headings)
     head = f"<thead><tr>{head}</tr></thead>" if any(table.headings) else ""

@@ -25,7 +25,7 @@ drive = model.replace(effects=[{"kind": "flexible_coupling", "frequency": 60.0, 
 
 # 1. The experiment: a multi-sine on a carriage that runs to and fro, so that dry friction is a constant.
 plan = design_experiment(model, Limits(stroke=0.5), speed=0.05, high=200.0, resolution=0.5)
-print(f"{plan.frequency.size} lines, {plan.passes} passes of {plan.periods} periods, bound by the {plan.bound_by}")
+print(f"{plan.frequency.size} lines, {plan.passes} passes of {plan.periods} periods, limited by the {plan.bound_by}")
 print(f"command at most {plan.peaks['command']:.2f} V, speed {plan.peaks['slowest']:.3f} m/s or more")
 
 # 2. The record, with noise on the force.

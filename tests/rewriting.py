@@ -36,9 +36,9 @@ def rewritten(units: Units, text: str) -> str:
 
 def _prose(units: Units, text: str) -> str:
     if re.fullmatch(_UNIT, text):
-        return units._whole(text)
+        return units._with_prefix(text)
     text = _QUANTITY.sub(lambda match: _quantity(units, match), text)
-    text = _AFTER.sub(lambda match: units._whole(match[1]), text)
+    text = _AFTER.sub(lambda match: units._with_prefix(match[1]), text)
     return units.label(text)
 
 

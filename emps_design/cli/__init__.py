@@ -1,4 +1,4 @@
-"""The command line: arguments, exit status, progress. It computes nothing."""
+"""The command line: arguments, exit status and progress, without any computation."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ def main() -> None:
     """Entry point of ``emps-design``."""
     _open_closed_streams()
     if sys.stdout is None:
-        Terminal().tell("standard output is closed, expected somewhere to print; > /dev/null prints nowhere")
+        Terminal().tell("standard output is closed, expected an open one; redirect it, such as with > /dev/null")
         sys.exit(1)
     if "--debug" not in sys.argv and not sys.warnoptions:
-        warnings.simplefilter("ignore")  # of libraries, for programmers; our own are printed as such
-    gc.set_threshold(20_000, 20, 20)  # imports create many objects and free few: collection took a tenth of the start
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices here are tall and thin: threads would only spin
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # or each start searches every installed package
+        warnings.simplefilter("ignore")  # Python's warnings of libraries; the messages of a result are printed anyway
+    gc.set_threshold(20_000, 20, 20)  # garbage collection took a tenth of the start-up, which frees little
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads do not speed up the tall, thin matrices here
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # the search of all installed packages is slow
     interrupts.install_handlers()
     status = run(sys.argv[1:])
     if status == interrupts.STATUS:
         interrupts.end()
-    gc.freeze()  # the process ends: a last collection took half a second
+    gc.freeze()  # skips the final collection, which took half a second
     sys.exit(status)
 
 
@@ -39,5 +39,5 @@ def _open_closed_streams() -> None:
     os.close(free)
     sys.stdin, sys.stderr = sys.stdin or open(0), sys.stderr or open(2, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # file names may hold what the terminal cannot show: escape it
+        if isinstance(stream, TextIOWrapper):  # escape characters of file names that the terminal cannot show
             stream.reconfigure(errors="backslashreplace")

@@ -1,6 +1,7 @@
-"""One Typer application, one module per command; errors become one line and an exit status here and nowhere else.
+"""The Typer application. Errors become one line and an exit status here, and nowhere else.
 
-A command is made of its request: options from the fields, a request from the words, the answer printed.
+Each command is one module with a request and ``answer``. The fields of the request are the options of the command; the
+command line is made a request, which is answered and printed.
 """
 
 from __future__ import annotations
@@ -28,33 +29,33 @@ from emps_design.units import Units
 if TYPE_CHECKING:
     import typer
 
-# Commands in the order of the work, each with its sentence in the help of all commands.
+# Commands in the order of a project, each with its line in the help of the program.
 GROUPS = {
     "Start": {
-        "demo": "Run the main job on the embedded machine; no file is needed.",
+        "demo": "Run the whole workflow on the embedded machine, without a file.",
         "init": "Make a folder with an axis file and records to start from.",
-        "import": "Read a drive's export and say what each column is taken for.",
+        "import": "Read a drive's export and show what each column stands for.",
     },
-    "Learn from records": {
+    "Identify from records": {
         "identify": "Identify mass, friction and constant force from records.",
         "law": "Find the controller that made a record, and its gains.",
         "observe": "Observe the external force that acted during a record.",
-        "excite": "Make the experiment that measures a frequency response.",
+        "excite": "Design the experiment that measures a frequency response.",
         "frf": "Estimate the response from force to velocity from records.",
     },
     "Design": {
         "gains": "Derive velocity-loop gains from bandwidth and phase margin.",
-        "margins": "Say what the controller in the axis file achieves.",
+        "margins": "Compute the margins of the controller in the axis file.",
         "force": "Check the force loop around the velocity loop, in contact.",
-        "impedance": "Judge an impedance law that needs no force sensor.",
+        "impedance": "Assess an impedance law that needs no force sensor.",
         "derive": "Derive the paper's equations and show its misprints.",
     },
     "Simulate and compare": {
         "simulate": "Simulate the nonlinear axis along a record or a reference.",
-        "diagnose": "Name the physics that the model lacks, and add it.",
+        "diagnose": "Find the physics that the model lacks, and add it.",
     },
-    "Bring to the machine": {
-        "compensate": "Find the feed-forward of all that the model knows.",
+    "Deploy to the machine": {
+        "compensate": "Design a feed-forward from the model, and test it.",
         "export": "Write the controller as C, Structured Text, FMU or JSON.",
     },
     "Show": {
@@ -63,11 +64,11 @@ GROUPS = {
     },
 }
 COMMANDS = tuple(name for group in GROUPS.values() for name in group)
-BEYOND = "numbers too far apart to compute with; check the units in the axis, the record and the options"
+BEYOND = "numerical overflow or a singular matrix; check the units in the axis, the record and the options"
 
-TURNING = "Units are those of a linear axis. For one that turns read kg m^2 for kg, N m for N and rad for m."
-ABOVE = {"studio": "emps_design.studio.command"}  # a command whose room lies above the commands
-# Options that every command has, and those of a command that writes a file.
+ROTARY = "Units are those of a linear axis; for a rotary axis read kg m^2 for kg, N m for N and rad for m."
+ABOVE = {"studio": "emps_design.studio.command"}  # commands that stand in a room above the commands
+# Options of every command.
 COMMON = {
     "as_json": ("--json", "one JSON document on standard output"),
     "debug": ("--debug", "the traceback of an error"),
@@ -75,7 +76,7 @@ COMMON = {
 
 
 def run(arguments: list[str]) -> int:
-    """Run the command line on ``arguments`` and return the exit status of the contract."""
+    """Run the command line on ``arguments`` and return the exit status."""
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     terminal = Terminal(tuple(arguments))
@@ -95,7 +96,7 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         if debug:
             raise
-        _discard_output()  # standard output itself may be full
+        _discard_output()  # the disk behind standard output may be full
         terminal.tell(f"{error.filename or 'output'}: {error.strerror or error} (run with --debug for the traceback)")
         return 1
     except Exception as error:
@@ -108,7 +109,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _refused(error: EmpsError, terminal: Terminal, as_json: bool) -> int:
-    """Print why the library refused, with a design's document where JSON is asked for; its exit status."""
+    """Print an error of the library, as JSON too for a design with ``--json``; return its exit status."""
     if as_json and isinstance(error, SpecificationError | UnstableError | SimulationError):
         terminal.print_json(
             {
@@ -124,15 +125,15 @@ def _refused(error: EmpsError, terminal: Terminal, as_json: bool) -> int:
 
 
 def _is_usage(error: Exception) -> bool:
-    """Whether ``error`` is of the words of the command line, or Ctrl-C at a prompt.
+    """Whether ``error`` is a usage error, or Ctrl-C at a prompt.
 
-    They come from click or from typer's copy of it: the names are the same.
+    It is recognised by name, since click and typer's copy of it have the same names.
     """
     return type(error).__name__ == "Abort" or hasattr(error, "format_message")
 
 
 def _failed(error: Exception, terminal: Terminal) -> int:
-    """Print an ``error`` that is none of the library's own; its exit status."""
+    """Print an ``error`` that the library did not raise; return its exit status."""
     if type(error).__name__ == "Abort":
         terminal.tell("interrupted")
         return INTERRUPTED
@@ -149,34 +150,34 @@ def _failed(error: Exception, terminal: Terminal) -> int:
 
 
 def _result(arguments: list[str], terminal: Terminal) -> Any:
-    """Run the command and return what it returns; an error after an interrupt is raised as that interrupt."""
+    """Run the command and return its result; an error after an interrupt becomes KeyboardInterrupt."""
     try:
         return _application(arguments, terminal)(
             args=arguments or ["--help"], prog_name="emps-design", standalone_mode=False
         )
     except Exception as error:
-        if interrupts.interrupted.is_set():  # interrupted compiled code may raise an error of its own
+        if interrupts.interrupted.is_set():  # interrupted compiled code may raise another error
             raise KeyboardInterrupt from error
         raise
 
 
 def _discard_output() -> None:
-    """Discard what is still buffered for standard output when the process ends."""
-    with suppress(OSError, ValueError):  # a ValueError: no descriptor, as in a test
+    """Discard the buffered output, so that the end of the process does not fail on it."""
+    with suppress(OSError, ValueError):  # ValueError: standard output has no descriptor, as in a test
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _application(arguments: list[str], terminal: Terminal) -> typer.Typer:
-    """Return the Typer application with the command that ``arguments`` name, or with all commands if none has the name.
+    """Return the Typer application with the command that ``arguments`` name, or with all commands if it is unknown.
 
-    For an option of the program itself, such as ``--help``, no module is imported: :data:`GROUPS` has the sentences.
+    For an option of the program itself, such as ``--help``, no module is imported; the help is in :data:`GROUPS`.
     """
     import typer
 
     app = typer.Typer(
         name="emps-design",
         cls=_in_groups(),
-        help="From a measured record of a one-axis drive to gains, a report, and the physics the model lacks.",
+        help="From a measured record of a one-axis drive to gains, a report, and the physics that the model lacks.",
         add_completion=False,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
@@ -196,18 +197,18 @@ def _application(arguments: list[str], terminal: Terminal) -> typer.Typer:
     ) -> None:
         pass
 
-    wanted = arguments[0] if arguments else ""
-    for name in () if wanted.startswith("-") else (wanted,) if wanted in COMMANDS else COMMANDS:
+    first = arguments[0] if arguments else ""
+    for name in () if first.startswith("-") else (first,) if first in COMMANDS else COMMANDS:
         register_command(app, name, terminal)
     return app
 
 
 def _in_groups() -> Any:
-    """The class of the program: its help has the commands in the order of the work."""
+    """The Typer group of the program, whose help lists the commands by :data:`GROUPS`."""
     from typer.core import TyperGroup
 
     class Grouped(TyperGroup):
-        """Commands in the order of the work."""
+        """Commands by :data:`GROUPS`."""
 
         def format_commands(self, ctx: Any, formatter: Any) -> None:
             for title, commands in GROUPS.items():
@@ -218,7 +219,7 @@ def _in_groups() -> Any:
 
 
 def register_command(app: typer.Typer, name: str, terminal: Terminal) -> None:
-    """Add the command ``name`` to ``app``: its module has one request, and ``answer``."""
+    """Add the command ``name`` to ``app``, with the fields of its request as options."""
     import typer
 
     module = importlib.import_module(module_of(name))
@@ -246,7 +247,7 @@ def register_command(app: typer.Typer, name: str, terminal: Terminal) -> None:
     first = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
     described.__signature__ = inspect.Signature([first, *parameters])
     described.__annotations__ = {parameter.name: parameter.annotation for parameter in (first, *parameters)}
-    epilog = TURNING if "axis" in hints else None
+    epilog = ROTARY if "axis" in hints else None
     app.command(name, help=module.__doc__, epilog=epilog)(command)
 
 
@@ -256,7 +257,7 @@ def module_of(name: str) -> str:
 
 
 def request_of(module: Any) -> type[Request]:
-    """The request that the ``answer`` of a command's ``module`` takes."""
+    """The request type of the ``answer`` of a command's ``module``."""
     annotation = inspect.signature(module.answer).parameters["request"].annotation
     kind = getattr(module, annotation) if isinstance(annotation, str) else annotation
     assert issubclass(kind, Request)
@@ -280,37 +281,37 @@ def _parameter(entry: Field[Any], hint: Any) -> inspect.Parameter:
 
 
 def _perform(context: typer.Context, terminal: Terminal, module: Any, values: Mapping[str, Any]) -> int:
-    """Make the request from the ``values`` of the command line, answer it and print the answer; its exit status."""
+    """Make a request from the ``values`` of the command line, print its answer and return the exit status."""
     kind = request_of(module)
     terminal.flags = {entry.name: flags_of(entry)[0] for entry in options_of(kind)}
-    given = [key for key in terminal.flags if _from_words(context, key)]
-    own = {key: value for key, value in values.items() if key in terminal.flags and value is not None}
-    _check_outputs(kind, own, bool(values.get("force")))
+    given = [key for key in terminal.flags if _on_command_line(context, key)]
+    options = {key: value for key, value in values.items() if key in terminal.flags and value is not None}
+    _check_outputs(kind, options, bool(values.get("force")))
     as_json = values["as_json"]
     if as_json:
         _refuse_printed(kind, given)
 
-    def speak_in(units: Units) -> None:
+    def use_units(units: Units) -> None:
         terminal.units = units
 
     with terminal.progress() as progress:
         overwrite = bool(values.get("force"))
-        request = make_request(kind, own, given, speak_in, progress=progress, overwrite=overwrite)
+        request = make_request(kind, options, given, use_units, progress=progress, overwrite=overwrite)
         answer: Reply = module.answer(request)
     terminal.units = answer.units
-    _print(terminal, answer, _with_advice(terminal, answer, own), as_json)
+    _print(terminal, answer, _with_advice(terminal, answer, options), as_json)
     if answer.then is not None:
         sys.stdout.flush()
         answer.then()
     return answer.status
 
 
-def _with_advice(terminal: Terminal, answer: Reply, own: Mapping[str, Any]) -> dict[str, Any]:
-    """The document of ``answer`` with its advice, if there is a judge, and with the folder that was written."""
+def _with_advice(terminal: Terminal, answer: Reply, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The document of ``answer``, with advice for the commands that have some, and with the folder that was written."""
     document = answer.document
     if terminal.command in ADVISED:
-        records = _paths(own.get("records", own.get("record")))
-        document = terminal.with_advice(document, own.get("axis"), [str(path) for path in records])
+        records = _paths(options.get("records", options.get("record")))
+        document = terminal.with_advice(document, options.get("axis"), [str(path) for path in records])
     if answer.write is not None:
         folder = answer.write(f"{terminal.json_text(document)}\n")
         document |= {} if folder is None else {"out": folder}
@@ -318,7 +319,7 @@ def _with_advice(terminal: Terminal, answer: Reply, own: Mapping[str, Any]) -> d
 
 
 def _print(terminal: Terminal, answer: Reply, document: dict[str, Any], as_json: bool) -> None:
-    """Print ``answer``: the document or the view, warnings, the reason not to run it, and the advice."""
+    """Print the document or the view, the warnings, the reason not to run the design, and the advice."""
     if as_json:
         terminal.print_json(document)
     else:
@@ -329,23 +330,23 @@ def _print(terminal: Terminal, answer: Reply, document: dict[str, Any], as_json:
     if answer.reason:
         terminal.tell(answer.reason)
     if not as_json and "advice" in document:
-        terminal.say_advice(document)
+        terminal.print_advice(document)
 
 
-def _from_words(context: typer.Context, key: str) -> bool:
+def _on_command_line(context: typer.Context, key: str) -> bool:
     return getattr(context.get_parameter_source(key), "name", "") == "COMMANDLINE"
 
 
 def _refuse_printed(kind: type[Request], given: Collection[str]) -> None:
-    """Refuse options of what is printed where a document is printed instead."""
+    """Raise :class:`InputError` if an option of the printed text is set together with ``--json``."""
     unused = [entry for entry in options_of(kind) if entry.metadata[OPTION].printed and entry.name in given]
     if unused:
         flags = ", ".join(flags_of(entry)[0] for entry in unused)
-        raise InputError(f"{flags}: goes without --json; a document is one or the other")
+        raise InputError(f"{flags}: cannot be combined with --json; choose one of the two formats")
 
 
 def _check_outputs(kind: type[Request], values: Mapping[str, Any], force: bool) -> None:
-    """Refuse files that must not be overwritten, before any work, and ``--force`` where no file is written."""
+    """Raise :class:`InputError` for outputs that must not be overwritten, and for ``--force`` without an output."""
     outputs = [entry for entry in options_of(kind) if entry.metadata[OPTION].writes]
     if not outputs:
         return
@@ -359,10 +360,10 @@ def _check_outputs(kind: type[Request], values: Mapping[str, Any], force: bool) 
         else:
             check_folder(path, about.writes, inputs, force)
     if force and not any(values.get(entry.name) for entry in outputs):
-        raise InputError("--force: goes with a file to write; there is none to overwrite")
+        raise InputError("--force: requires an output file; without one there is nothing to overwrite")
 
 
 def _paths(value: Any) -> list[str | Path]:
-    """The names of files in the value of an option."""
+    """The file names in the value of an option."""
     values = value if isinstance(value, list | tuple) else [value]
     return [entry for entry in values if isinstance(entry, str | Path)]

@@ -1,8 +1,7 @@
-"""What a command prints: JSON or a view on standard output, progress, warnings and errors on standard error.
+"""The output of a command: JSON or a view on standard output; progress, warnings and errors on standard error.
 
-The library names arguments between backquotes, such as `cutoff`; here they become the flags of the command line. What
-the library still says for a linear axis with a voltage command is put into the units of the axis at hand. The advice on
-a result is a key of the document and the last line printed.
+The library writes arguments between backquotes, such as `cutoff`; here they become the flags of the command line. The
+advice on a result is a key of the document, and the last line that is printed.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from emps_design.progress import Progress
 from emps_design.units import LINEAR, Units
 from emps_design.view import BLOCKS, Line, View, show
 
-# Arguments of the library whose flag is not their name; a report identifies as well, without those options.
+# Arguments of the library whose flag differs from their name.
 FLAGS = {
     "cutoff_hz": "--cutoff",
     "identify": "--estimator ls",
@@ -30,7 +29,7 @@ FLAGS = {
     "target": "--to",
     "window": "--time A:B",
 }
-FLAGS_OF = {
+FLAGS_OF = {  # of one command: a report identifies too, but without the options of identify
     "report": {
         "cutoff": "--cutoff of 'identify'",
         "external_force='known'": "--external-force known of 'identify'",
@@ -40,21 +39,21 @@ FLAGS_OF = {
 }
 
 NAMES = ("name", "axis", "record", "records", "file", "files", "out", "directory", "machine", "column", "title", "next")
-MESSAGES = ("reason", "warnings")  # keys under which the library's messages stand; all other text is data
+MESSAGES = ("reason", "warnings")  # keys of the library's messages; all other text is data
 
-PLAIN = str.maketrans(f"{BLOCKS}─", "_.-=+*#@-")  # for a terminal without blocks and rules
+ASCII = str.maketrans(f"{BLOCKS}─", "_.-=+*#@-")  # for a terminal that cannot show blocks and rules
 
 
 @dataclass
 class Terminal:
     """Standard output and standard error of one command line.
 
-    ``words`` are those from the command's name on, ``flags`` the flags of its options by their names, ``units`` those
-    of its axis, once it is read.
+    ``words`` are the arguments from the name of the command on, ``flags`` the flags of its options by name, ``units``
+    those of the axis, once it is read.
 
-    >>> Terminal(("identify",)).named("give `cutoff`, or use `filter='report'`")
+    >>> Terminal(("identify",)).with_flags("give `cutoff`, or use `filter='report'`")
     'give --cutoff, or use --filter report'
-    >>> Terminal(("report",)).named("use `filter='hold'`")
+    >>> Terminal(("report",)).with_flags("use `filter='hold'`")
     'use --record-filter hold'
     """
 
@@ -67,40 +66,36 @@ class Terminal:
         """The name of the command, "" for none."""
         return self.words[0] if self.words else ""
 
-    def named(self, text: str) -> str:
-        """``text`` with every argument between backquotes as the flag that sets it."""
+    def with_flags(self, text: str) -> str:
+        """``text`` with the flag of the command line for every argument between backquotes."""
         flags = FLAGS | self.flags | FLAGS_OF.get(self.command, {})
 
-        def flag(argument: re.Match[str]) -> str:
+        def as_flag(argument: re.Match[str]) -> str:
             name, _, value = argument[1].partition("=")
             if argument[1] in flags or not name.isidentifier():
                 return flags.get(argument[1], argument[0])
-            own = flags.get(name, f"--{name.strip('_').replace('_', '-')}")
-            return f"{own} {value.strip(chr(39))}".rstrip()
+            flag = flags.get(name, f"--{name.strip('_').replace('_', '-')}")
+            return f"{flag} {value.strip(chr(39))}".rstrip()
 
-        return re.sub(r"`([^`]+)`", flag, text)
+        return re.sub(r"`([^`]+)`", as_flag, text)
 
-    def text(self, text: str) -> str:
-        """``text`` of the library with flags for arguments, in the units and words of the axis."""
-        return self.named(text)
-
-    def plain(self, value: Any, key: str = "") -> Any:
+    def json_data(self, value: Any, key: str = "") -> Any:
         """``value`` as JSON data: numpy to Python, complex to [re, im], Infinity and NaN to None.
 
-        Texts other than names are in the units of the axis; arguments that a message names become flags.
+        In messages, arguments between backquotes become flags.
         """
         if hasattr(value, "to_dict"):
-            return self.plain(value.to_dict())
+            return self.json_data(value.to_dict())
         if isinstance(value, str):
-            return self.named(value) if key in MESSAGES else value
+            return self.with_flags(value) if key in MESSAGES else value
         if isinstance(value, dict):
-            return {str(name): self.plain(item, str(name)) for name, item in value.items()}
+            return {str(name): self.json_data(item, str(name)) for name, item in value.items()}
         if isinstance(value, list | tuple):
-            return [self.plain(item, key) for item in value]
+            return [self.json_data(item, key) for item in value]
         if hasattr(value, "tolist"):
-            return self.plain(value.tolist())
+            return self.json_data(value.tolist())
         if isinstance(value, complex):
-            return [self.plain(value.real), self.plain(value.imag)]
+            return [self.json_data(value.real), self.json_data(value.imag)]
         if isinstance(value, float):
             return value if math.isfinite(value) else None
         return value
@@ -114,11 +109,11 @@ class Terminal:
          "gain": null
         }
         """
-        text = json.dumps(self.plain(document), indent=1, allow_nan=False, ensure_ascii=False)
+        text = json.dumps(self.json_data(document), indent=1, allow_nan=False, ensure_ascii=False)
         return "\n".join(line if line.isprintable() else _escaped(line, str.isprintable) for line in text.split("\n"))
 
     def print_json(self, document: Any) -> None:
-        """Print one JSON document on standard output; the same data gives the same bytes."""
+        """Print one JSON document on standard output."""
         text = self.json_text(document)
         sys.stdout.write(f"{text if _unicode() else _escaped(text, str.isascii)}\n")
 
@@ -129,13 +124,13 @@ class Terminal:
         console = Console(markup=False, emoji=False, highlight=False)
         for part in view:
             if isinstance(part, Line):
-                words = part.text if part.style == "code" else self.named(part.text)
-                part = replace(part, text=words if _unicode() else words.translate(PLAIN))
+                words = part.text if part.style == "code" else self.with_flags(part.text)
+                part = replace(part, text=words if _unicode() else words.translate(ASCII))
             show(console, part, wrap=console.is_terminal)
 
     def tell(self, text: object) -> None:
-        """Print ``text`` as one line of this program on standard error."""
-        print(f"emps-design: {one_line(self.text(str(text)))}", file=sys.stderr)
+        """Print ``text`` as one line on standard error."""
+        print(f"emps-design: {one_line(self.with_flags(str(text)))}", file=sys.stderr)
 
     def print_warnings(self, warnings: Iterable[str]) -> None:
         """Print each warning as one line on standard error."""
@@ -144,7 +139,7 @@ class Terminal:
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
-        """A ``progress(stage, share)`` that draws on standard error: a bar from its first call on, or lines."""
+        """Yield a progress function that draws a bar on a terminal, and otherwise prints each new stage as a line."""
         if not sys.stderr.isatty():
             yield self._stage_by_stage()
             return
@@ -157,7 +152,7 @@ class Terminal:
         task = bar.add_task("", total=1.0)
 
         def draw(stage: str, share: float) -> None:
-            bar.start()  # at the first report, and not again
+            bar.start()  # has no effect after the first call
             bar.update(task, description=stage, completed=share)
 
         try:
@@ -176,22 +171,22 @@ class Terminal:
         return report
 
     def with_advice(self, document: dict[str, Any], axis: str | None, records: Sequence[str]) -> dict[str, Any]:
-        """The ``document`` of the command, which read these files, with its advice."""
+        """The ``document`` of the command with its advice; ``axis`` and ``records`` are the files that were read."""
         advice = advise(self.command, document, self.words, axis, records, self.units)
-        return {**document, "advice": replace(advice, text=self.named(advice.text)).to_dict()}
+        return {**document, "advice": replace(advice, text=self.with_flags(advice.text)).to_dict()}
 
     def advice_on_error(self, error: EmpsError) -> Advice | None:
-        """The advice when the command ends with ``error``, None if that is not about a design."""
+        """The advice when the command ends with ``error``; None if the error does not concern a design."""
         if error.exit_code not in (3, 4) or not self.words:
             return None
         nearest = getattr(error, "nearest", {})
         advice = advise_on_error(self.command, error.exit_code, str(error), nearest, self.words)
-        return replace(advice, text=self.named(advice.text))
+        return replace(advice, text=self.with_flags(advice.text))
 
-    def say_advice(self, document: dict[str, Any]) -> None:
+    def print_advice(self, document: dict[str, Any]) -> None:
         """Print the advice of ``document`` as one line on standard output."""
         advice = Advice(**document["advice"])
-        print(printable(str(replace(advice, text=self.text(advice.text)))))
+        print(printable(str(replace(advice, text=self.with_flags(advice.text)))))
 
 
 def _unicode() -> bool:

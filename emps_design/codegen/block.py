@@ -1,7 +1,7 @@
-"""The blocks that are exported: a controller or an observer with its numbers, run here as the simulation runs it.
+"""The exported blocks: a controller or an observer with its parameters, computed here as in the simulation.
 
-The kernels of an axis's effects join a block as functions of position, velocity and motor force, with their numbers: in
-the on-line force observer as terms of its equation, beside a controller as its feed-forward.
+The kernels of an axis's effects enter a block as functions of position, velocity and motor force, with their
+parameters: in the on-line force observer as terms of its equation, in a controller as its feed-forward.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _with_numbers(program: Program, p: np.ndarray, b: np.ndarray) -> Program:
     kernel = program.kernel
     q, v, t, tau, x, own, baseline = kernel.parameters
     if x in names_in(kernel.body):
-        raise InputError(f"{kernel.name}: found a state, which a block for a drive does not have")
+        raise InputError(f"{kernel.name}: found a state, expected none: an exported block has no states of effects")
     arrays = {own: p.tolist(), baseline: b.tolist()}
     tables: dict[str, Function] = {}
 
@@ -150,7 +150,7 @@ def observed_parts(axis: Axis) -> tuple[Part, ...]:
     if reasons:
         raise InputError(
             f"observer of {axis.name}: found {'; '.join(reasons)}; "
-            "take such effects out of the axis file, or observe on the record"
+            "remove these effects from the axis file, or use observe on a record"
         )
     effects = ((name, entry.effect, entry.effect.values(entry.parameters)) for name, entry in named)
     return parts_of(effects, axis.mechanics.array())
@@ -250,7 +250,7 @@ class Ahead:
     def of(cls, feedforward: FeedForward) -> Ahead:
         """Read the kernels of ``feedforward``."""
         parts = parts_of(feedforward.effects(), feedforward.baseline)
-        return cls(feedforward, parts, tuple(feedforward.own().tolist()), feedforward.reversal)
+        return cls(feedforward, parts, tuple(feedforward.own_baseline().tolist()), feedforward.reversal)
 
     @property
     def repeats(self) -> bool:

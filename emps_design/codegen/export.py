@@ -55,10 +55,10 @@ LONGEST = 300  # s, of a compilation
 ROWS = 1000  # of the machine's vectors
 MOMENT = (1980, 1, 1, 0, 0, 0)  # of every file in a unit, so that the same axis gives the same bytes
 
-NO_TERM_KEPT = note("no-term-kept", "the compensation keeps no term: the law alone was written")
+NO_TERM_KEPT = note("no-term-kept", "the compensation has no useful term: only the law was exported")
 LEAST = float(np.finfo(np.float32).tiny)  # smallest speed by which single precision can divide
 NO_COMPILER = note(
-    "no-compiler", "no C compiler was found: the units hold their source alone, for the importing tool to compile"
+    "no-compiler", "no C compiler was found: the FMUs contain only source code, which the importing tool has to compile"
 )
 
 
@@ -148,7 +148,7 @@ def compiler() -> str:
 
 
 def binary_for() -> str:
-    """The platform of the binaries, as FMI 3.0 names it; "" where units hold their source alone."""
+    """The platform of the binaries, as FMI 3.0 names it; "" where the FMUs contain only source code."""
     return f"{platform.machine()}-linux" if compiler() else ""
 
 
@@ -226,13 +226,13 @@ class Exported(Viewed):
                 write_text(aside / name, text) if isinstance(text, str) else (aside / name).write_bytes(text)
 
     def view(self) -> View:
-        """The vectors, the operations of one step, and the gains by the names of common drives."""
+        """The vectors, the operations of one step, and the gains as parameters of common drives."""
         counts = operations_of(self.block).items()
         drives = drives_of(self.block)
         side = "motor's" if drives and drives[0]["side"] == "motor" else "axis's own"
         headings = ("drive", "parameter", "value", "unit", "gain")
         rows = [(d["family"], d["parameter"], f"{d['value']:.6g}", d["unit"], d["gain"]) for d in drives]
-        title = f"The same gains by the names of common drives, on the {side} side"
+        title = f"The gains as parameters of common drives, on the {side} side"
         return (
             Line(f"{self.vectors.q.size} vectors of the law {self.block.kind.name}, axis {self.block.axis.name}"),
             Line(f"one step: {', '.join(f'{number} {OPERATIONS[kind]}' for kind, number in counts)}", "prose"),
@@ -243,7 +243,7 @@ class Exported(Viewed):
         """Names and hashes of the files, the vectors, operations, drive settings, as plain data."""
         finite = self.vectors.difference[np.isfinite(self.vectors.difference)]
         carriage = self.block.axis.units.word("carriage")
-        text = f"whether the loop is stable was not checked: the law is not linear while the {carriage} slides"
+        text = f"the stability of the loop was not checked: the law is not linear while the {carriage} slides"
         return {
             "name": self.name,
             "target": self.target,
@@ -319,18 +319,20 @@ def _loop_stable(axis: Axis) -> bool:
         return False
     if not loop.margins.stable:
         words = loop_in_words(loop, axis.units)
-        raise UnstableError(f"axis {axis.name}: its {words} is unstable: no code for a drive is written")
+        raise UnstableError(f"axis {axis.name}: the {words} is unstable; no code was exported")
     return True
 
 
 def _ahead(axis: Axis, compensation: Mapping[str, Any]) -> Ahead | None:
-    """The feed-forward of a ``compensation`` for this ``axis``, checked; None where nothing was worth it."""
+    """The feed-forward of a ``compensation`` for this ``axis``, checked; None if it has no terms."""
     kept, reversal, taken = compensation.get("kept"), compensation.get("reversal"), compensation.get("law_taken_off")
     if not isinstance(kept, list) or not isinstance(reversal, int | float) or not isinstance(taken, bool):
-        raise InputError("compensation: found no kept, reversal and law_taken_off, expected what compensate writes")
+        raise InputError(
+            "compensation: found no kept, reversal and law_taken_off, expected the document that compensate writes"
+        )
     speed = math.nan if isinstance(reversal, bool) else float(reversal)
     if not (math.isfinite(speed) and (speed == 0.0 or speed >= LEAST)):
-        raise InputError(f"compensation: found a reversal of {speed:g}, expected a speed that compensate writes")
+        raise InputError(f"compensation: found a reversal of {speed:g}, expected the speed that compensate writes")
     unknown = [str(term) for term in kept if term not in terms_of(axis)[0]]
     if unknown or compensation.get("axis") != axis.name:
         raise InputError(
@@ -339,15 +341,15 @@ def _ahead(axis: Axis, compensation: Mapping[str, Any]) -> Ahead | None:
         )
     if compensation.get("axis_sha256") != digest_of(axis):
         raise InputError(
-            f"compensation: found one of {axis.name} with other numbers or another controller, expected one of this "
-            "axis; run compensate on it"
+            f"compensation: found one of {axis.name} with other parameters or another controller; run compensate on "
+            "this axis"
         )
     if not kept:
         return None
     if not taken:
         raise InputError(
-            "compensation: found one beside a law that answers on its own reference, expected one beside the law on "
-            "its error; run compensate on this axis again"
+            "compensation: found one for a law that also follows its reference, expected one for the law on the "
+            "position error; run compensate on this axis again"
         )
     return Ahead.of(replace(FeedForward.of(axis, kept), reversal=speed))
 

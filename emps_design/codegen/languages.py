@@ -281,7 +281,7 @@ class StPrinter(Printer):
             return f"DINT_TO_LINT(TRUNC({inside}))"
         if call.function in BODIES:
             if call.function == "choose" and call.type == INT:
-                raise InputError("found a choice between whole numbers, which has no translation; expected an if")
+                raise InputError("found a choice between integers, which cannot be translated; expected an if")
             return f"{self.prefix}_{call.function}({inside})"
         if call.function not in CALLS:
             raise InputError(f"found {call.function}, which Structured Text does not have; expected {', '.join(CALLS)}")

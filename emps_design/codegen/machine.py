@@ -1,11 +1,10 @@
-"""The virtual machine as C: the axis with its effects, by translation of the stepper that its simulations run.
+"""The virtual machine as C: the axis with its effects, translated from the stepper of the simulations.
 
 :class:`StepperReader` reads the stepper. Besides what :mod:`.reader` reads it has ``while``, ``break``, ``continue``,
-truth values in variables, several values at once, arrays that begin inside others, and kernels called by their number.
-Numbers known beforehand (``fixed``) are put in while reading, and branches that they exclude are left out.
+booleans in variables, several values at once, arrays that begin inside others, and kernels called by their number.
+Constants (``fixed``) are substituted while reading, and branches that they exclude are left out.
 
-:class:`StepperPrinter` prints it as C99: several values are a structure, and the loop over samples is cut open, so that
-one sample is one call.
+:class:`StepperPrinter` prints it as C99: several values are a structure, and one call computes one sample of the loop.
 """
 
 from __future__ import annotations
@@ -429,7 +428,7 @@ class Machine:
 
 
 def machine_of(axis: Axis, name: str) -> Machine:
-    """Translate ``axis`` with its effects; raises :class:`InputError` for a kernel that has no translation.
+    """Translate ``axis`` with its effects; raises :class:`InputError` for a kernel that cannot be translated.
 
     >>> from emps_design.machines import machine
     >>> machine_of(machine("emps2019"), "emps2019").ring
@@ -468,7 +467,7 @@ def _longest_delay(axis: Axis, plant: Plant) -> int:
             wait += max(0.0, effect.delay(0.0, 0.0, 0.0, 0.0, np.zeros(0), p, plant.baseline))
     samples = int(wait / axis.sampling.period)
     if samples > LONGEST:
-        raise InputError(f"axis {axis.name}: found a command {samples} samples on its way, expected at most {LONGEST}")
+        raise InputError(f"axis {axis.name}: found a dead time of {samples} samples, expected at most {LONGEST}")
     return samples
 
 

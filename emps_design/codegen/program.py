@@ -1,8 +1,8 @@
-"""A kernel as a small typed program: what every target language has, and nothing else.
+"""A kernel as a small typed program, with only those constructs that every target language has.
 
-Numbers are ``REAL`` or whole (``INT``); arrays of real numbers (``ARRAY``) belong to the caller. Where a whole number
-meets a real one, the program converts it, for languages that have no such rule. :class:`Printer` has what the printers
-of all languages share: precedence, and names that the language allows.
+Numbers are ``REAL`` or integers (``INT``); arrays of real numbers (``ARRAY``) belong to the caller. Where an integer is
+combined with a real number, the program converts it, for languages that have no such rule. :class:`Printer` has what
+the printers of all languages share: precedence, and names that the language allows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 REAL, INT, ARRAY = "real", "int", "array"
 LAW_ARGUMENTS = (INT, REAL, REAL, REAL, REAL, ARRAY, ARRAY)  # of a control law's kernel
-TRUTH, WHOLES = "truth", "wholes"  # of a condition; of an array of whole numbers
+TRUTH, WHOLES = "truth", "wholes"  # of a condition; of an array of integers
 
 PRECEDENCE = {"or": 1, "and": 2, "==": 4, "!=": 4, "<": 5, "<=": 5, ">": 5, ">=": 5, "+": 6, "-": 6, "*": 7, "/": 7}
 SIGN = 8
@@ -68,7 +68,7 @@ class Binary:
 
 @dataclass(frozen=True)
 class Call:
-    """A function of the language (``sqrt``, ``min``, ``real`` of a whole number, ``int`` of a real one ...)."""
+    """A function of the language (``sqrt``, ``min``, ``real`` of an integer, ``int`` of a real number ...)."""
 
     function: str
     arguments: tuple[Expression, ...]

@@ -63,7 +63,7 @@ class ExpressionReader:
         arguments = tree.args
         names = [argument.arg for argument in arguments.args]
         if arguments.vararg or arguments.kwarg or arguments.kwonlyargs or arguments.defaults:
-            self.refuse(tree, "an argument with a default or a star")
+            self.refuse(tree, "a default or variadic argument")
         if len(names) != len(types):
             self.refuse(tree, f"{len(names)} arguments", f"{len(types)}")
         self.parameters = dict(zip(names, types, strict=True))
@@ -75,7 +75,7 @@ class ExpressionReader:
         """Raise :class:`InputError` with the place: ``what`` was found at ``node``."""
         line = getattr(node, "lineno", 1) + self.function.__code__.co_firstlineno - 1
         place = f"{self.function.__code__.co_filename}, line {line}, {self.tree.name}"
-        raise InputError(f"{place}: found {what}, which has no translation; expected {expected}")
+        raise InputError(f"{place}: found {what}, which cannot be translated; expected {expected}")
 
     def read_function(self, function: Any, types: tuple[str, ...]) -> None:
         """Add ``function``, which is called with arguments of these ``types``, to ``functions``."""
@@ -92,7 +92,7 @@ class ExpressionReader:
             if node.id in self.loops:
                 return Name(node.id, INT)
             if node.id in self.counters:
-                return self.refuse(node, f"{node.id} outside its loop", "a variable of its own")
+                return self.refuse(node, f"{node.id} outside its loop", "another variable")
             if own or node.id in self.assigned:
                 return Name(node.id, own or INT)
             return self.constant(node, self.value_of(node))
@@ -159,7 +159,7 @@ class ExpressionReader:
         """A call of ``math``, ``abs``, ``min``, ``max``, a conversion, or a function of the file."""
         function = self.value_of(node.func)
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
-            return self.refuse(node, "arguments by name or with a star", "plain ones")
+            return self.refuse(node, "keyword or variadic arguments", "plain ones")
         arguments = [self.number(argument) for argument in node.args]
         if function is float:
             return real(arguments[0])
@@ -179,7 +179,7 @@ class ExpressionReader:
         if function is abs or function in MATH:
             name = "fabs" if function is abs else MATH[function]
             if function is abs and arguments[0].type == INT:
-                return self.refuse(node, "abs of a whole number", "of a real one")
+                return self.refuse(node, "abs of an integer", "abs of a real number")
             self.calls.add(name)
             call = Call(name, tuple(map(real, arguments)), REAL)
             if name != "floor":
@@ -202,9 +202,9 @@ class ExpressionReader:
         )
 
     def whole(self, node: ast.expr) -> Expression:
-        """``node`` as a whole number."""
+        """``node`` as an integer."""
         number = self.number(node)
-        return number if number.type == INT else self.refuse(node, "a real number", "a whole one, or int() of it")
+        return number if number.type == INT else self.refuse(node, "a real number", "an integer, or int() of it")
 
     def condition(self, node: ast.expr) -> Expression:
         """``node`` as a condition."""
@@ -298,7 +298,7 @@ def read_into(
     """Add ``function`` to ``functions``, behind what it calls."""
     if function in above:
         name = getattr(function, "__name__", repr(function))
-        raise InputError(f"{name}: found a function that calls itself, expected none: a drive has no room for it")
+        raise InputError(f"{name}: found a recursive function, which cannot be translated")
     reader(function, source_tree(function), types, functions, calls, (*above, function)).read()
 
 
@@ -334,7 +334,7 @@ class FunctionReader(ExpressionReader):
             body = self.block(steps)
         self.variables = {name: kind for name, kind in sorted(self.variables.items()) if name not in self.parameters}
         if self.result and not _returns(body):
-            self.refuse(self.tree, "a way through the function without a return", "a number on every way")
+            self.refuse(self.tree, "a path through the function without a return", "a number on every path")
         self.functions[self.tree.name] = Function(self.tree.name, self.parameters, self.variables, body, self.result)
 
     # Statements.
@@ -381,12 +381,12 @@ class FunctionReader(ExpressionReader):
             return self.refuse(node, f"an assignment to {type(node).__name__.lower()}")
         known = self.parameters.get(node.id) or self.variables.get(node.id)
         if node.id in self.counters:
-            return self.refuse(node, f"an assignment to the loop's own {node.id}", "a name of its own")
+            return self.refuse(node, f"an assignment to the loop variable {node.id}", "another name")
         if known == ARRAY or value.type not in (REAL, INT):
             return self.refuse(node, f"an assignment of a condition or an array to {node.id}", "numbers")
         kind = REAL if REAL in (known, value.type) else INT
         if node.id in self.parameters and kind != self.parameters[node.id]:
-            return self.refuse(node, f"a real number for the whole argument {node.id}", "a variable of its own")
+            return self.refuse(node, f"a real number for the integer argument {node.id}", "another variable")
         self.variables[node.id] = kind
         return Assign(Name(node.id, kind), real(value) if kind == REAL else value)
 
@@ -400,10 +400,10 @@ class FunctionReader(ExpressionReader):
         bounds = [self.whole(argument) for argument in call.args]
         step = bounds[2] if len(bounds) == 3 else Number(1, INT)
         if not isinstance(step, Number) or step.value == 0:
-            return self.refuse(node, "a step that is not a constant", "a whole number other than 0")
+            return self.refuse(node, "a step that is not a constant", "an integer other than 0")
         start, stop = (Number(0, INT), bounds[0]) if len(bounds) == 1 else bounds[:2]
         if node.target.id in self.variables or node.target.id in self.parameters:
-            return self.refuse(node, f"{node.target.id} for two things", "a name of its own for the loop's variable")
+            return self.refuse(node, f"{node.target.id} for two things", "another name for the loop variable")
         name = node.target.id
         before: list[Statement] = []
         if not isinstance(stop, Number):  # the end of a range is computed once, whatever the loop does

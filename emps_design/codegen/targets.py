@@ -1,11 +1,11 @@
-"""The files of a controller in each language, from templates, and what common drives call the gains of a cascade.
+"""The files of a controller in each language, from templates, and its gains as parameters of common drives.
 
 The page and the heads of the files name the law, the axis, units, the axis file with the comment in its first line,
 and the commit of this package.
 
 Each parameter of a drive has a row with its name and unit, from the drive's public manual.
-Families whose manual was not found, or gives a gain no unit, are left out. A drive counts on its motor's side: where
-the axis file has the reduction between motor and axis, numbers here are on that side too, else on the axis's own.
+Families whose manual was not found, or gives no unit for a gain, are left out. A drive uses values on the motor side:
+if the axis file has the reduction between motor and axis, the values here are on that side too, else on the load side.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Setting:
     value: Value
 
 
-def _times(factor: float) -> Value:
+def _scaled(factor: float) -> Value:
     return lambda gain, axis: factor * gain
 
 
@@ -115,25 +115,25 @@ SETTINGS = (
     Setting("Beckhoff AX5000", "S-0-0100", "Nm/(rad/s) or N/(m/s), with P-0-0010 bit 15 set", PROPORTIONAL,
             f"{BECKHOFF}/1031/ax5000_idn_description/1000502539.html", _force),
     Setting("Beckhoff AX5000", "S-0-0101", "ms", INTEGRAL,
-            f"{BECKHOFF}/1031/ax5000_idn_description/1000532747.html", _times(1e3)),
+            f"{BECKHOFF}/1031/ax5000_idn_description/1000532747.html", _scaled(1e3)),
     Setting("Beckhoff AX8000", "3140:01", "Nm/(rad/s), by default", PROPORTIONAL,
             f"{BECKHOFF}/1033/ax8xxx_object/18798255883.html", _torque),
     Setting("Beckhoff AX8000", "3140:02", "s", INTEGRAL,
-            f"{BECKHOFF}/1031/ax8xxx_object/18798159243.html", _times(1.0)),
+            f"{BECKHOFF}/1031/ax8xxx_object/18798159243.html", _scaled(1.0)),
     Setting("Beckhoff EP7047", "8014:03", "0.1 mA/(rad/s)", PROPORTIONAL,
             f"{BECKHOFF}/1031/ep7047-1032/9243797771.html", _current),
     Setting("Beckhoff EP7047", "8014:04", "0.01 ms", INTEGRAL,
-            f"{BECKHOFF}/1031/ep7047-1032/9243797771.html", _times(1e5)),
+            f"{BECKHOFF}/1031/ep7047-1032/9243797771.html", _scaled(1e5)),
     Setting("Beckhoff AX2000-B750", "S-0-0104", "0.01 (m/min)/mm", POSITION,
-            f"{BECKHOFF}/1031/ax2000-b750/15064279307.html", _times(6.0)),
+            f"{BECKHOFF}/1031/ax2000-b750/15064279307.html", _scaled(6.0)),
     Setting("Beckhoff AX2000-B750", "S-0-0101", "0.1 ms", INTEGRAL,
-            f"{BECKHOFF}/1031/ax2000-b750/15064277259.html", _times(1e4)),
+            f"{BECKHOFF}/1031/ax2000-b750/15064277259.html", _scaled(1e4)),
     Setting("Yaskawa Sigma-II", "Pn102", "1/s", POSITION,
-            "https://manualarchiveguide.com/manuals/YASKAWA-SGMAH-User-Manual-4781235?page=268", _times(1.0)),
+            "https://manualarchiveguide.com/manuals/YASKAWA-SGMAH-User-Manual-4781235?page=268", _scaled(1.0)),
     Setting("Yaskawa Sigma-II", "Pn100", "Hz, with Pn103 the inertia ratio", PROPORTIONAL,
             f"{YASKAWA}/yaskawa-large-capacity-sigma-ii-series.html?page=214", _crossover),
     Setting("Yaskawa Sigma-II", "Pn101", "0.01 ms", INTEGRAL,
-            f"{YASKAWA}/yaskawa-large-capacity-sigma-ii-series.html?page=189", _times(1e5)),
+            f"{YASKAWA}/yaskawa-large-capacity-sigma-ii-series.html?page=189", _scaled(1e5)),
 )  # fmt: skip
 
 
@@ -271,7 +271,7 @@ def words_of(name: str, block: Block) -> dict[str, Any]:
         "what": f"observer of the external {force}" if block.observes else "controller",
         "bounded": "" if block.observes else f", command limited to {block.limit!r} {unit('V')}",
         "answer": f"external {force}" if block.observes else "command",
-        "either_way": "" if block.observes else f", at most {block.limit!r} either way",
+        "either_way": "" if block.observes else f", between -{block.limit!r} and {block.limit!r}",
         "output_unit": block.output_unit,
         "follows": _reference_text(block),
         "reference_unit": unit(INPUTS[law.follows]),
@@ -333,11 +333,11 @@ def single_precision(vectors: Vectors) -> str:
     if np.any(otherwise):
         jump = difference[otherwise & finite].max(initial=0.0)
         text += (
-            f" At {np.count_nonzero(otherwise)} of the samples a comparison (a sign, a limit, a switch) falls the "
-            f"other way in single precision; there the difference is at most {jump:.3g} {unit}."
+            f" At {np.count_nonzero(otherwise)} of the samples a comparison (a sign, a limit, a switch) has the other "
+            f"result in single precision; there the difference is at most {jump:.3g} {unit}."
         )
     if not np.all(finite):
-        text += f" {np.count_nonzero(~finite)} samples have none: a number leaves what single precision holds."
+        text += f" {np.count_nonzero(~finite)} samples have no bound: a number exceeds the range of single precision."
     return text
 
 

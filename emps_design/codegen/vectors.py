@@ -1,10 +1,10 @@
-"""What is known of a block before it runs: the operations of one step, and test vectors.
+"""The operations of one step of a block, and its test vectors.
 
-Operations of one step are counted in the translated code: the most that any path through it takes.
+Operations of one step are counted in the translated code: the maximum over all paths through it.
 
 Test vectors have inputs, the outputs of double precision, and how far single precision may be from them. Both are
-measured: the translated program runs operation by operation in numbers of one type (:class:`Runner`), with every
-condition of a branch or a choice noted; functions of ``math`` are rounded once, from double precision. The inputs are
+measured: the translated program runs operation by operation in numbers of one type (:class:`Runner`), which records
+every condition of a branch or a choice; functions of ``math`` are rounded once, from double precision. The inputs are
 numbers of single precision, so that both precisions get the same: at rest, in motion well within the limit, in and out
 of the limit, and extremes. Random numbers have a fixed seed.
 """
@@ -130,7 +130,7 @@ class _Count:
         blocks, tests = parts(step)
         total, possible = Counter[str](), []
         for block, test in zip_longest(blocks, tests):
-            holds = None if test is None else _holds(test, known)
+            holds = None if test is None else _is_true(test, known)
             total += Counter() if test is None else self.expression(test, known)
             if block is not None and holds is not False:
                 possible.append(self.block(block, dict(known)))
@@ -161,7 +161,7 @@ class _Count:
         return Counter()
 
 
-def _holds(test: Any, known: Known) -> bool | None:
+def _is_true(test: Any, known: Known) -> bool | None:
     """Whether ``test``, a comparison of two known numbers, holds; None where they are not known."""
     if not (isinstance(test, Binary) and test.operator in COMPARISONS):
         return None
@@ -358,12 +358,12 @@ class Vectors:
 
     @property
     def difference(self) -> np.ndarray:
-        """Distance (n,) of single precision from ``u``, measured; inf where a number leaves what it holds."""
+        """Distance (n,) of single precision from ``u``, measured; inf where a number exceeds its range."""
         return self._measured[0]
 
     @property
     def decided_otherwise(self) -> np.ndarray:
-        """Whether (n,) a comparison falls the other way in single precision: a sign, a limit, a switch."""
+        """Whether (n,) a comparison has the other result in single precision: a sign, a limit, a switch."""
         return self._measured[1]
 
     @cached_property

@@ -84,10 +84,10 @@ SWINGS = ("limit_cycle", "unstable")  # verdicts on an unusable law
 DOES = {
     "stable": "comes to rest",
     "dead_band": "comes to rest",
-    "no_motion": "stood when it was let go, so nothing is known of it",
+    "no_motion": "was at rest at the release, so its motion is unknown",
     "creeping": "creeps on",
-    "limit_cycle": "keeps swinging",
-    "unstable": "runs away or swings from limit to limit",
+    "limit_cycle": "keeps oscillating",
+    "unstable": "diverges or oscillates between the limits",
 }
 SHARES = (
     "stable_share", "stable_share_interval", "bounded_share", "bounded_share_interval", "verdicts", "plants", "seed",
@@ -96,41 +96,41 @@ SHARES = (
 
 
 def cautions_of(assessment: ImpedanceAssessment, document: dict[str, Any]) -> list[Message]:
-    """Return the messages on the :class:`ImpedanceAssessment`, whose other results are in ``document``."""
+    """Return the messages on ``assessment``, whose other results are in ``document``."""
     axis, law, units = assessment.axis, assessment.law, assessment.axis.units
     force, carriage, shown = units.word("force"), units.word("carriage"), units.quantity
     messages = [] if assessment.stable else [grave("not-to-run", assessment.reason)]
     if law.at_singularity(PRINTED):
-        text = "printed is undefined: at M_a = 2 M the current cancels itself in (30) as printed; derived it is not"
+        text = "printed is undefined: with M_a = 2 M the current cancels in (30) as printed; derived is defined"
         messages.append(note("printed-undefined", text))
     sinking = sinking_force(assessment.plant)
     if sinking > 0.0:
         text = (
-            f"the constant {force} exceeds dry friction by {shown(sinking, 'N', '.3g')}, and at rest this law holds "
-            f"nothing: the axis sinks; balance that {force} apart"
+            f"the constant {force} exceeds dry friction by {shown(sinking, 'N', '.3g')}, and this law does not hold "
+            f"the axis at rest: it sinks; compensate that {force} separately"
         )
         messages.append(grave("sinks", text, force=sinking))
     for kind in left_out(axis):
         text = (
-            f"effect {kind} is in the simulated plants and, linearised, in the poles, but not in apparent impedance "
-            "and contact"
+            f"effect {kind} is included in the simulated plants and, linearised, in the poles, but not in the apparent "
+            "impedance and in contact"
         )
         messages.append(note("effect-in-plants-only", text, effect=kind))
     messages += safety_words(axis, law.mass, law.damping, assessment.mismatch or 0.0)
     if document["smallest_safe_mass"] is None:
         text = (
-            "smallest_safe_mass is undefined: with this filter and damping the law is unstable or swings even at "
-            "M_a = M"
+            "smallest_safe_mass is undefined: with this filter and damping the law is unstable or in a limit cycle "
+            "even for M_a = M"
         )
         messages.append(grave("no-safe-mass", text))
     if law.damping == 0.0:
-        messages.append(warning("no-damping", f"damping B is 0: nothing brings the released {carriage} to rest"))
+        messages.append(warning("no-damping", f"damping B is 0: the released {carriage} does not come to rest"))
     oscillation = document["coulomb_oscillation"]
     if oscillation is not None and oscillation["speed"] > 2.0 * assessment.slowest_drift:
         text = (
-            f"the Coulomb compensation may hunt, at {shown(oscillation['speed'], 'mm/s', '.2g')} or more and below "
-            f"{oscillation['frequency']:.2g} rad/s (describing function); a smaller Coulomb factor removes it, or "
-            "a faster filter where the loop bears one"
+            f"the Coulomb compensation may cause hunting, at {shown(oscillation['speed'], 'mm/s', '.2g')} or more and "
+            f"below {oscillation['frequency']:.2g} rad/s (describing function); reduce the Coulomb factor, or use a "
+            "faster filter if the loop remains stable"
         )
         messages.append(grave("limit-cycle", text, **oscillation))
     contact = document["passivity"]
@@ -144,15 +144,14 @@ def cautions_of(assessment: ImpedanceAssessment, document: dict[str, Any]) -> li
         wall = document["largest_wall_stiffness"]
         text = f"not passive from {low:.3g} rad/s on"
         if wall is not None:
-            text += f"; the poles bear an undamped wall of up to {shown(wall, 'N/m', '.3g')}"
+            text += f"; by the poles the loop is stable against an undamped wall of up to {shown(wall, 'N/m', '.3g')}"
         messages.append(warning("not-passive", text, frequency=low, wall=wall))
     for name, limit in assessment.walls.items():
         which = "exact estimates" if name == "exact" else f"estimates off by +-{100 * (assessment.mismatch or 0.0):g} %"
         text = (
-            f"{which}: pressed against a wall the {carriage} comes to rest up to "
-            f"{shown(limit.simulated, 'N/m', '.3g')}; beyond, the Coulomb compensation may keep it swinging (simulated "
-            f"with pushes around {shown(limit.push, 'N', '.3g')}; the poles alone bear "
-            f"{shown(limit.linear, 'N/m', '.3g')})"
+            f"{which}: pressed against a wall of up to {shown(limit.simulated, 'N/m', '.3g')} the {carriage} comes to "
+            "rest; against a stiffer one the Coulomb compensation may keep it oscillating (simulated with pushes "
+            f"around {shown(limit.push, 'N', '.3g')}; by the poles the limit is {shown(limit.linear, 'N/m', '.3g')})"
         )
         messages.append(warning("wall-limit", text, simulated=limit.simulated, linear=limit.linear))
     if contact is not None and document["largest_wall_stiffness"] is None:
@@ -168,8 +167,8 @@ def cautions_of(assessment: ImpedanceAssessment, document: dict[str, Any]) -> li
             factor = mismatch["coulomb_factor_without_creep"]
             cure = "no Coulomb factor" if factor is None else f"a Coulomb factor of {factor:.4g}"
             text = (
-                f"over-estimated friction makes the released {carriage} creep at up to "
-                f"{shown(mismatch['creep_speed'], 'mm/s', '.3g')}; {cure} rules it out"
+                f"overestimated friction makes the released {carriage} creep at up to "
+                f"{shown(mismatch['creep_speed'], 'mm/s', '.3g')}; {cure} prevents it"
             )
             messages.append(grave("creep", text, speed=mismatch["creep_speed"], coulomb_factor=factor))
         if mismatch["worst"]["peak_voltage"] >= axis.drive.command_limit:
@@ -189,12 +188,12 @@ class ImpedanceAssessment(Viewed):
 
     @property
     def plant(self) -> FrictionModel:
-        """The axis's friction model."""
+        """The friction model of the axis."""
         return FrictionModel.of(self.axis)
 
     @property
     def clock(self) -> Clock:
-        """The axis's clock."""
+        """Sampling period and delays of the axis."""
         return Clock.of(self.axis)
 
     @cached_property
@@ -206,7 +205,7 @@ class ImpedanceAssessment(Viewed):
 
     @cached_property
     def extended(self) -> SampledLoop | None:
-        """The loop with the effects that the friction model leaves out, linearised; None without such effects."""
+        """The loop with the linearised effects that the friction model lacks; None without such effects."""
         if not left_out(self.axis):
             return None
         speeds = [direction * SPEED for direction in self.plant.directions]
@@ -225,12 +224,12 @@ class ImpedanceAssessment(Viewed):
 
     @cached_property
     def simulated(self) -> str:
-        """The verdict on the whole axis, guided and released with exact estimates, with its encoder and limit."""
+        """The verdict on the simulated axis, with encoder and limit, guided and released with exact estimates."""
         return run_task(self.axis, self.law, fitted_task(self.axis, self.law)).verdict
 
     @cached_property
     def walls(self) -> dict[str, WallLimit]:
-        """The stiffest wall with exact estimates and at the worst corner of the mismatch; empty where unbounded."""
+        """The stiffest wall with exact estimates and at the worst corner of the mismatch; without unbounded ones."""
         if not self.stable:
             return {}
         limits = {"exact": wall_limit(self.axis, self.law)}
@@ -240,7 +239,7 @@ class ImpedanceAssessment(Viewed):
 
     @property
     def slowest_drift(self) -> float:
-        """Speed [m/s] below which the encoder ends a creep."""
+        """Speed [m/s] below which encoder quantisation stops a creep."""
         resolution = self.axis.sampling.encoder_resolution
         return drift_threshold(self.clock.period, resolution, self.law.velocity_estimator)
 
@@ -251,19 +250,19 @@ class ImpedanceAssessment(Viewed):
 
     @cached_property
     def verdict(self) -> str:
-        """The worst of ``VERDICTS``: of the poles, with exact estimates, and of every plant within the mismatch."""
+        """The worst verdict: by the poles, simulated with exact estimates, and of every plant within the mismatch."""
         verdicts = [self.simulated, *([] if self.poles_stable else ["unstable"])]
         verdicts += [] if self.study is None else [VERDICTS[self.study.verdict.max()]]
         return max(verdicts, key=VERDICTS.index)
 
     @property
     def stable(self) -> bool:
-        """Whether no simulated plant swings or runs away, and no pole does."""
+        """Whether no pole is unstable, and no simulated plant diverges or is in a limit cycle."""
         return self.verdict not in SWINGS
 
     @property
     def headline(self) -> str:
-        """The verdict and the number of simulated plants that share it, in one sentence."""
+        """The verdict and the number of simulated plants with it, in one sentence."""
         name, study = self.verdict.replace("_", " "), self.study
         outcomes = [self.simulated] if study is None else [VERDICTS[place] for place in study.verdict]
         count = sum(DOES[outcome] == DOES[self.verdict] for outcome in outcomes)
@@ -276,9 +275,9 @@ class ImpedanceAssessment(Viewed):
         return f"{name}: the released {units.word('carriage')} {DOES[self.verdict]}{where}{speed}"
 
     def _calm(self, law: ImpedanceLaw) -> bool:
-        """Whether the carriage does not swing under ``law``, guided and released, with estimates within the mismatch.
+        """Whether the guided and released carriage has no limit cycle under ``law`` for estimates within the mismatch.
 
-        Without a mismatch the estimates get small errors: a law close to one that swings may come to rest by chance.
+        Without a mismatch the estimates get small errors, since a law near a limit cycle may come to rest by chance.
         """
         size, task = self.mismatch or LITTLE, fitted_task(self.axis, law, self.mismatch or 0.0)
         split = self.plant.two_quadrant or (self.study is not None and self.study.split)
@@ -287,16 +286,16 @@ class ImpedanceAssessment(Viewed):
             -size, size, (DRAWN if self.extended is None else FEW, len(PARAMETERS))
         )
         errors = np.vstack([np.zeros(len(PARAMETERS)), corners, drawn])
-        for batch in np.split(errors, FIRST):  # most laws that swing do so in a small batch
-            off = with_errors(law, batch)
-            for way in (task, task.reversed) if split else (task,):
-                if len(batch) and any(VERDICTS[place] in SWINGS for place in run_many(self.axis, [off], way).verdict):
+        for batch in np.split(errors, FIRST):  # a small batch finds most limit cycles
+            laws = with_errors(law, batch)
+            for run in (task, task.reversed) if split else (task,):
+                if len(batch) and any(VERDICTS[place] in SWINGS for place in run_many(self.axis, [laws], run).verdict):
                     return False
         return True
 
     @cached_property
     def nearest(self) -> dict[str, float] | None:
-        """The nearest stable law (mass, damping, filter) that does not swing; None without one, and if this one is."""
+        """The nearest stable law without a limit cycle (mass, damping, filter); None if this one is or none exists."""
         if self.stable:
             return None
 
@@ -310,14 +309,14 @@ class ImpedanceAssessment(Viewed):
 
     @property
     def reason(self) -> str:
-        """The reason why the law is refused, in one line; empty if it is stable."""
+        """The reason why the law must not run, in one line; empty if it is stable."""
         if self.stable:
             return ""
         if self.poles_stable:
             return (
                 f"{self.headline}: the poles are stable, but the simulated {self.axis.units.word('carriage')} keeps "
-                "swinging, with the encoder's steps, the limit of the command and friction as it is: a finer encoder, "
-                f"or another law; {self._proposal}"
+                "oscillating, due to encoder quantisation, the command limit and friction: use a finer encoder or "
+                f"another law; {self._proposal}"
             )
         loop = self.loop
         recursion = abs(recursion_poles(self.law, self.clock)[0])
@@ -334,7 +333,7 @@ class ImpedanceAssessment(Viewed):
     @property
     def _proposal(self) -> str:
         if self.nearest is None:
-            return "no law that is stable and does not swing was found nearby"
+            return "no stable law without a limit cycle was found nearby"
         units = self.axis.units
         return (
             f"nearest stable: {units.word('mass')} {units.quantity(self.nearest['mass'], 'kg')}, damping "
@@ -395,11 +394,11 @@ class ImpedanceAssessment(Viewed):
         return document
 
     def view(self) -> View:
-        """What ``impedance`` shows of it."""
+        """The lines and tables of the command ``impedance``."""
         return tuple(_parts(self.to_dict(), self.axis.units))
 
     def _felt(self, law: ImpedanceLaw) -> ApparentImpedance:
-        """Apparent impedance in the direction with the larger remaining Coulomb force, which resists or pushes."""
+        """Apparent impedance in the direction with the larger remaining Coulomb force, by magnitude."""
         each = [law.apparent(self.plant, direction) for direction in self.plant.directions]
         return max(each, key=lambda felt: abs(felt.coulomb_left))
 
@@ -413,7 +412,7 @@ class ImpedanceAssessment(Viewed):
         corners = [self.law.with_errors(errors) for errors in corner_errors(mismatch, self.plant.two_quadrant)]
         summary = study.to_dict()
         if not self.poles_stable and summary["worst"]["verdict"] not in SWINGS:
-            # The unstable poles are of a sticking carriage, or of linearised effects: the plants do not have them.
+            # The unstable poles belong to the carriage at rest or to linearised effects, not to the simulated plants.
             summary["worst"] = {**summary["worst"], "verdict": "unstable"}
         creep = max(creep_speed(law, self.plant) for law in corners)
         return {
@@ -432,7 +431,7 @@ class ImpedanceAssessment(Viewed):
 
 @dataclass(frozen=True)
 class AssessmentRequest(Request):
-    """What :func:`assess_impedance` takes beside axis, apparent mass and damping."""
+    """Options of :func:`assess_impedance` in addition to axis, apparent mass and damping."""
 
     mismatch: float | None = option(
         None, "relative error of the estimates for the study of section IV-B, None: no study"
@@ -473,7 +472,7 @@ def assess_impedance(
 
 
 def _parts(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
-    """The verdict first, then the law, what is felt and implemented, and the mismatch, of an assessment's document."""
+    """The verdict, the law, the apparent impedance, the sampled law, and the mismatch of an assessment's document."""
     sampled, study = document["sampled"], document.get("mismatch")
     name, _, why = document["headline"].partition(": ")
     calm, swings = document["verdict"] in CALM, document["verdict"] in ("unstable", "limit_cycle")
@@ -485,14 +484,14 @@ def _parts(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     yield _felt(document, units)
     yield _as_implemented(document, units)
     if study is None:
-        yield Line("errors of the estimates were not tried")
+        yield Line("errors of the estimates were not simulated")
     else:
         yield from _under_mismatch(study, units)
     loop = document["equivalent_loop"]
     if loop["k_e1"] is not None:
         stable = "stable" if loop["sampled"]["stable"] else "UNSTABLE"
         gain = f"k_e1 = {loop['k_e1']:g} {units.unit('(m/s)/N')}"
-        yield Line(f"equivalent cascaded loop, {stable} when sampled ({_spaced(loop['criterion'])}): {gain}")
+        yield Line(f"equivalent cascaded loop, sampled: {stable} ({_spaced(loop['criterion'])}), {gain}")
         for warning in loop["warnings"]:
             if warning not in document["warnings"]:
                 yield Line(warning, "note")
@@ -505,7 +504,7 @@ def _felt(document: dict[str, Any], units: Units) -> Table:
     columns = {
         "apparent_mass": "mass [kg]",
         "apparent_damping": "damping [N/(m/s)]",
-        "coulomb_left": "Coulomb left [N]",
+        "coulomb_left": "remaining Coulomb [N]",
     }
     places = {"derived": "derived", "(30) as printed": "printed"}
     if document["law"]["force_sensor"]:
@@ -514,11 +513,11 @@ def _felt(document: dict[str, Any], units: Units) -> Table:
         (label, *(number(document[place][key], nothing="undefined") for key in columns))
         for label, place in places.items()
     ]
-    return Table(("", *map(units.label, columns.values())), rows, "Felt, with an ideal current loop")
+    return Table(("", *map(units.label, columns.values())), rows, "Apparent impedance, ideal current loop")
 
 
 def _as_implemented(document: dict[str, Any], units: Units) -> Table:
-    """Poles, energy, walls and the force to break away of the sampled law."""
+    """Poles, passivity, walls and break-away force of the sampled law."""
     sampled, contact, wall = document["sampled"], document["passivity"], document["largest_wall_stiffness"]
     largest = max((abs(complex(pole)) for pole in sampled["poles"]), default=None)
     active = ["undefined"]
@@ -529,15 +528,18 @@ def _as_implemented(document: dict[str, Any], units: Units) -> Table:
     stiffness, low_pass = units.unit("N/mm"), document["law"]["filter"]
     rows = [
         *([] if low_pass is None else [("low-pass of the law", number(low_pass / HERTZ), "Hz")]),
-        ("largest pole, sliding", number(largest, 5), ""),
-        ("gain of the recursion in its own current", number(sampled["recursion_gain"]), ""),
-        (f"{units.word('force')} to break away, at rest", number(document["break_away"]), units.unit("N")),
+        ("largest pole, in motion", number(largest, 5), ""),
+        ("gain of the recursion in the law's current", number(sampled["recursion_gain"]), ""),
+        (f"break-away {units.word('force')}, at rest", number(document["break_away"]), units.unit("N")),
         (
             f"smallest safe apparent {units.word('mass')}",
             number(document["smallest_safe_mass"], nothing="undefined"),
             units.unit("kg"),
         ),
-        *(("" if row else "not passive, gives energy to the hand", band, "rad/s") for row, band in enumerate(active)),
+        *(
+            ("" if row else "not passive, supplies energy to the hand", band, "rad/s")
+            for row, band in enumerate(active)
+        ),
         *(
             (
                 f"stiffest wall, {'exact estimates' if name == 'exact' else 'worst corner'}, pushed with "
@@ -557,20 +559,20 @@ def _as_implemented(document: dict[str, Any], units: Units) -> Table:
 
 
 def _under_mismatch(study: dict[str, Any], units: Units) -> Iterator[Line | Table]:
-    """What the simulated plants do whose estimates are wrong."""
+    """Results of the simulated plants with wrong estimates."""
     speed, factor = units.read("mm/s")
     creep, free = (1e3 * factor * study[key] for key in ("creep_speed", "creep_speed_exact_encoder"))
-    ended = f" (the encoder ends one of {free:.3g})" if free > creep else ""
+    stopped = f" (the encoder stops one of {free:.3g})" if free > creep else ""
     coulomb = study["coulomb_factor_without_creep"]
     worst = study["worst"]
     errors = ", ".join(f"{units.words(name)} {100 * value:+.2f} %" for name, value in worst["errors"].items())
     heading = f"+-{100 * study['mismatch']:g} %"
     rows = [
-        (f"creep speed, {speed}", "unbounded" if math.isinf(creep) else f"{creep:.3f}{ended}"),
+        (f"creep speed, {speed}", "unbounded" if math.isinf(creep) else f"{creep:.3f}{stopped}"),
         (f"dead band, {units.unit('N')}", f"{study['dead_band']:.4g}"),
         ("Coulomb factor without creep", "none" if coulomb is None else f"{coulomb:.4f}"),
         ("plants that come to rest", _share(study, "stable_share")),
-        ("neither unstable nor cycling", _share(study, "bounded_share")),
+        ("neither unstable nor in a limit cycle", _share(study, "bounded_share")),
         ("largest pole over the corners", number(study["largest_pole"], 5)),
     ]
     verdicts = ", ".join(f"{count} {_spaced(name)}" for name, count in study["verdicts"].items() if count)
@@ -584,19 +586,19 @@ def _under_mismatch(study: dict[str, Any], units: Units) -> Iterator[Line | Tabl
 
 
 def _share(study: dict[str, Any], name: str) -> str:
-    """A share of the plants with its interval, where it has one."""
+    """A share of the plants, with its interval if it has one."""
     low, high = study[f"{name}_interval"]
     interval = "" if math.isnan(low) else f" (95 %: {100 * low:.2f} to {100 * high:.2f} %)"
     return f"{100 * study[name]:.2f} %{interval}"
 
 
-def _of_plants(value: float | None) -> str:
-    """A number of the random plants; none has it where each simulation was broken off."""
+def _cell(value: float | None) -> str:
+    """A statistic of the random plants, - if no plant has a value."""
     return "-" if value is None or math.isnan(value) else number(value)
 
 
 def _spread(ranges: dict[str, Any], units: Units) -> Iterator[Table]:
-    """What the random plants do: transparency, command and effort."""
+    """Transparency, command and effort of the random plants."""
     bases = {
         "apparent_mass": "kg",
         "apparent_damping": "N/(m/s)",
@@ -608,7 +610,7 @@ def _spread(ranges: dict[str, Any], units: Units) -> Iterator[Table]:
     rows = [
         (
             f"r2 of {units.word('force')} on motion" if name == "r2" else units.words(_spaced(name)),
-            *(_of_plants(ranges[name][key]) for key in ("low", "median", "high")),
+            *(_cell(ranges[name][key]) for key in ("low", "median", "high")),
             units.unit(base),
         )
         for name, base in bases.items()
@@ -619,10 +621,10 @@ def _spread(ranges: dict[str, Any], units: Units) -> Iterator[Table]:
 
 
 def law_in_words(law: dict[str, Any], units: Units) -> str:
-    """The parameters of an impedance law in words; a parameter at its default is left out.
+    """The parameters of an impedance law in words, without those at their defaults.
 
-    >>> usual = {"filter": 500.0, "current_filter": 500.0, "stiffness": 0.0, "coulomb_factor": 1.0}
-    >>> law_in_words({"mass": 50.0, "damping": 100.0, "force_sensor": False, **usual}, Units())
+    >>> defaults = {"filter": 500.0, "current_filter": 500.0, "stiffness": 0.0, "coulomb_factor": 1.0}
+    >>> law_in_words({"mass": 50.0, "damping": 100.0, "force_sensor": False, **defaults}, Units())
     'M_a = 50 kg, B = 100 N/(m/s), filter 500 rad/s'
     """
     words = [f"M_a = {law['mass']:g} {units.unit('kg')}", f"B = {law['damping']:g} {units.unit('N/(m/s)')}"]

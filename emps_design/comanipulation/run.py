@@ -1,10 +1,11 @@
 """Simulate a task under a law on an axis with all its effects: one run with its signals, or many with their measures.
 
 Impedance laws that differ in their estimates run in parallel lanes (:mod:`~emps_design.simulation.kernels.lanes`) if
-the axis is the friction plant with the operator's hand on it. All lanes step a period in one vector loop; a lane whose
-carriage stops or starts within the period is stepped again alone. Every other law, and one that the lanes give up, runs
-in the general stepper (:mod:`~emps_design.simulation.kernels.hold_loop`), with the same kernels of law, hand, motion
-and measures. Plants share nothing, so the numbers depend neither on the neighbours nor on the number of workers.
+the plant is the friction model with the operator's hand. One vector loop steps all lanes by a period; a lane whose
+carriage stops or starts within the period is then stepped separately. Every other law, and one that the lanes cannot
+simulate, runs in the general stepper (:mod:`~emps_design.simulation.kernels.hold_loop`) with the same kernels of law,
+hand, motion and measures. Plants are independent, so the results depend neither on neighbouring lanes nor on the number
+of workers.
 """
 
 from __future__ import annotations
@@ -53,14 +54,14 @@ from emps_design.simulation.kernels.lanes import LANES, lane, room, row, step, s
 from emps_design.simulation.kernels.motion import GAIN, LIMIT, PERIOD, RESOLUTION, encoded, friction_of
 from emps_design.simulation.plant import Inputs, Plant, Prepared
 
-OWN = KEEP_ACCELERATION  # gains before this place are each law's own, those from there on the same for all
+OWN = KEEP_ACCELERATION  # number of gains that differ between laws; the gains after them are common to all
 ROWS = 14 + OWN + WAITING + MEASURES
 _DELAY, _RATE, _TAPS, _REFERENCE = DELAY - OWN, RATE - OWN, TAPS - OWN, REFERENCE_VELOCITY - OWN
 _hand_force, _law = built_in(hand_force), built_in(impedance)
 
 # Rows of the table of hooks that change the force on the motion or its measurement.
 AROUND = (motion.COMMAND, motion.ACTUATOR, motion.DELAY, motion.SENSOR, motion.TOUCH)
-BLOCK = 256  # plants a worker takes at a time; no number depends on it
+BLOCK = 256  # plants per task of a worker; no influence on the results
 
 
 # The impedance law, or the parameters of the cascaded loop of Fig. 4 with a force sensor.
@@ -69,7 +70,7 @@ TaskLaw = ImpedanceLaw | ip_velocity.Table
 
 @inlined
 def _voltage(k, reference, q, force, limit, own, at_once, memory):
-    """Voltage of one law at sample ``k``."""
+    """Voltage [V] of one law at sample ``k``."""
     gains = (own[0], own[1], own[2], own[3], own[4], own[5], own[6], own[7], *at_once)
     return _law(k, reference, q, force, limit, gains, memory)
 
@@ -82,9 +83,10 @@ def run_lanes(
     """Run the laws with gains ``own`` (m, OWN) and ``common``, m a multiple of LANES; fill ``measures`` (m, MEASURES).
 
     Commands act without delay; ``start`` = (q0, v0). ``hand`` (n, 6) are the parameters of the hand's force at each
-    sample; the rest as in :func:`~emps_design.comanipulation.task.measure`. ``scratch`` has ROWS rows, ``free`` one
-    for each sample from the release on and one more; ``tally`` two zeros: no event is recorded. A law whose voltage
-    reaches the limit, or whose carriage leaves every bound, gets nan: lanes do not simulate what follows.
+    sample; the other arguments are those of :func:`~emps_design.comanipulation.task.measure`. ``scratch`` has ROWS
+    rows, ``free`` has one row for each sample from the release on and one more, and ``tally`` is two zeros, so that no
+    event is recorded. A law whose voltage reaches the limit, or whose carriage diverges, gets nan: the lanes do not
+    simulate further.
     """
     rows, places, kept = pointer(scratch), pointer(free), pointer(tally)
     q, v, tau, q1, v1, tau1 = row(rows, 0), row(rows, 1), row(rows, 2), row(rows, 3), row(rows, 4), row(rows, 5)
@@ -95,7 +97,7 @@ def run_lanes(
     friction = friction_of(pointer(baseline), pointer(settings))
     mass, viscous_p, viscous_n, _, _, lag = friction
     forward, backward = response(period, mass, viscous_p, lag), response(period, mass, viscous_n, lag)
-    # A delay known to the compiler, and that the estimator does not filter, whose coefficients it therefore lacks.
+    # Constants for the compiler: no delay, and an estimator without a filter and its coefficients.
     named = 1.0 if common[_TAPS] > 0.0 else 0.0
     at_once = (*common[:_DELAY], 0.0, common[_RATE], named, common[_REFERENCE], 0.0)
     n = push.size
@@ -114,7 +116,7 @@ def run_lanes(
             for i in range(LANES):
                 force[i] = pushed - _hand_force(q[i], v[i], t, 0.0, None, grip, None)
                 encoder[i] = encoded(q[i], resolution)
-            if k == 0:  # apart: a loop that may set memories up again writes every one of them under a mask
+            if k == 0:  # separate, since a loop that may initialise memories would write all of them under a mask
                 for i in range(LANES):
                     u[i] = _voltage(k, reference, encoder[i], force[i], limit, lane(gains, i), at_once, lane(memory, i))
             else:
@@ -158,7 +160,7 @@ def run_lanes(
 class TaskRun:
     """One simulated task: ``t`` [s], ``q`` [m], ``v`` [m/s], ``tau_e`` [N], ``u`` [V], ``encoder`` [m], each (n,).
 
-    The signals end early if the simulation stopped because the loop is unstable.
+    The signals are shorter if the simulation stopped because the loop is unstable.
     """
 
     t: np.ndarray
@@ -176,7 +178,7 @@ class TaskRun:
 
 
 def run_task(axis: Axis, law: TaskLaw, task: Task) -> TaskRun:
-    """Simulate ``task`` under ``law`` on ``axis`` with all its effects, and keep the signals.
+    """Simulate ``task`` under ``law`` on ``axis`` with all its effects; return signals and measures.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -199,11 +201,11 @@ def run_many(
     progress: Progress = no_progress,
     machine: Axis | None = None,
 ) -> Measures:
-    """Simulate ``task`` under each of ``laws`` on ``axis`` with all its effects; return the measures, a row per law.
+    """Simulate ``task`` under each of ``laws`` on ``axis`` with all its effects; return the measures, one row per law.
 
     The laws are of one kind; an impedance law whose estimate holds arrays (m,) counts as m laws. ``machine`` is the
-    real axis if it differs from the one that the laws were designed for. ``workers`` is the number of threads, which
-    does not change the numbers. ``progress(stage, fraction)`` is called as blocks finish.
+    real axis if it differs from the one that the laws were designed for. ``workers`` is the number of threads; it has
+    no influence on the results. ``progress(stage, fraction)`` is called after each block.
     """
     setup = Setup.of(axis, laws, task, machine)
     gains, m = setup.law.gains, len(setup.law.gains)
@@ -218,7 +220,7 @@ def run_many(
 
 
 def in_threads(work: Callable[[Any], Any], parts: Sequence[Any], workers: int) -> Iterator[Any]:
-    """Yield ``work(part)`` for each of the ``parts``, in order, computed by ``workers`` threads."""
+    """Yield ``work(part)`` for each of the ``parts`` in order, computed by ``workers`` threads."""
     if workers == 1 or len(parts) == 1:
         return map(work, parts)
     from joblib import Parallel, delayed
@@ -228,7 +230,7 @@ def in_threads(work: Callable[[Any], Any], parts: Sequence[Any], workers: int) -
 
 @dataclass(frozen=True)
 class Setup:
-    """What the runs of a task share: ``law`` with a row of gains for each, the ``rest`` it follows [m], the plant."""
+    """The common data of the runs of a task: ``law`` with one row of gains per run, ``rest`` position [m], plant."""
 
     law: Law
     rest: float
@@ -237,7 +239,7 @@ class Setup:
 
     @classmethod
     def of(cls, axis: Axis, laws: Sequence[TaskLaw], task: Task, machine: Axis | None = None) -> Setup:
-        """Prepare ``laws`` for ``axis`` and the plant of ``machine``; :class:`InputError` for a task's other period."""
+        """Prepare ``laws`` of ``axis`` on ``machine``; raises :class:`InputError` if the task has another period."""
         period = axis.sampling.period
         if task.period != period:
             raise InputError(
@@ -253,7 +255,7 @@ class Setup:
         plant, wish, sampling = Plant.of(machine), None, machine.sampling
         if stiffness or damping:
             plant, wish = plant.touched_by(Hand(0.0, damping, stiffness, held=True)), np.append(task.wish, np.nan)
-        n = len(task.push) + 1  # one sample more: the state in which the last period ends
+        n = len(task.push) + 1  # with the state at the end of the last period
         inputs = Inputs(*plant.numbers(), n, sampling.period, sampling.encoder_resolution, intention=wish)
         ready = plant.prepared(inputs)
         law = replace(compiled[0], gains=np.vstack([law.gains for law in compiled]))
@@ -261,13 +263,13 @@ class Setup:
 
     @cached_property
     def in_lanes(self) -> bool:
-        """Whether lanes can run it: a held hand on the friction plant, no delay, laws enough and alike but in OWN."""
+        """Whether lanes can run it: a friction plant with a hand, no delay, enough laws, equal but for OWN gains."""
         common, ready = self.law.gains[:, OWN:], self.ready
-        plain = ready.settings[motion.EXACT] > 0.0 and not np.diff(ready.starts)[list(AROUND)].any()
-        at_once = ready.settings[motion.DELAYED] == 0.0 and common[0, DELAY - OWN] == 0.0
+        friction_plant = ready.settings[motion.EXACT] > 0.0 and not np.diff(ready.starts)[list(AROUND)].any()
+        no_delay = ready.settings[motion.DELAYED] == 0.0 and common[0, DELAY - OWN] == 0.0
         alike = self.law.kernel is impedance and len(common) >= LANES and np.all(common == common[0])
         alike = alike and common[0, TAPS - OWN] >= 0.0  # no filter in the velocity estimate
-        return bool(plain and at_once and alike)
+        return bool(friction_plant and no_delay and alike)
 
     def measured(self, gains: np.ndarray) -> np.ndarray:
         """Measures (m, MEASURES) of the laws with ``gains`` (m, g)."""
@@ -280,7 +282,7 @@ class Setup:
         return raw
 
     def side_by_side(self, gains: np.ndarray) -> np.ndarray:
-        """Measures (m, MEASURES) from the lanes, nan for the laws that they give up."""
+        """Measures (m, MEASURES) from the lanes, nan for laws that they cannot simulate."""
         ready, task, m = self.ready, self.task, len(gains)
         own = np.concatenate([gains[:, :OWN], np.repeat(gains[:1, :OWN], -m % LANES, axis=0)])
         hand = ready.columns if ready.columns.size else np.zeros((len(task.push), len(HAND.parameters)))
@@ -293,7 +295,7 @@ class Setup:
         return raw[:m]
 
     def alone(self, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Measures (m, MEASURES), the signals (5, n) of the last run, and how many of their samples are valid."""
+        """Measures (m, MEASURES), the signals (5, n) of the last run, and the number of their valid samples."""
         ready, task = self.ready, self.task
         n = len(task.push) + 1
         raw, out = np.empty((len(gains), MEASURES)), np.empty((5, n))
@@ -311,7 +313,7 @@ def run_block(
     parameters, baseline, settings, y0, hooks, starts, columns, slots, floors, scratch, law, gains, memory, reference,
     push, wish, turns, release, end, out, measures,
 ):  # fmt: skip
-    """Run one plant for each row of ``parameters`` and ``gains``; return the number of valid samples of the last."""
+    """Run one plant per row of ``parameters`` and ``gains``; return the number of valid samples of the last run."""
     y, none, noted, tally = y0.copy(), np.zeros(0), np.zeros((0, 3)), np.zeros(2, np.int64)
     good, steady, period, limit = 0, np.zeros((0, 2)), settings[motion.PERIOD], settings[motion.LIMIT]
     for i in range(gains.shape[0]):
@@ -330,14 +332,14 @@ def run_block(
 
 
 def _measures(axis: Axis, laws: Sequence[TaskLaw], raw: np.ndarray) -> Measures:
-    """``raw`` with each law's expected speed under friction and the speed below which the encoder hides a drift."""
+    """``raw`` with the expected final speed and the drift threshold of each law, see :class:`Measures`."""
     period, resolution, plant = axis.sampling.period, axis.sampling.encoder_resolution, FrictionModel.of(axis)
-    known = []
+    rows = []
     for law in laws:
         drift, integrates = 0.0, True
         if isinstance(law, ImpedanceLaw):
             drift, integrates = np.maximum(drift_speed(law, plant, 1), drift_speed(law, plant, -1)), False
         threshold = drift_threshold(period, resolution, law.velocity_estimator)
-        known.append(np.stack(np.broadcast_arrays(threshold, drift, integrates), axis=-1))
-    threshold, expected, integrates = np.vstack(known).T
+        rows.append(np.stack(np.broadcast_arrays(threshold, drift, integrates), axis=-1))
+    threshold, expected, integrates = np.vstack(rows).T
     return Measures(raw, max(resolution / period, 1e-6), threshold, expected, integrates > 0.0)

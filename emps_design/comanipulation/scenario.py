@@ -1,6 +1,6 @@
 """The co-manipulation scenario: an operator guides the carriage under the impedance law, then releases it.
 
-:func:`compare_sensors` shows the paper's point: without a force sensor the operator pushes harder.
+:func:`compare_sensors` shows the result of the paper: without a force sensor the operator needs a larger force.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from emps_design.units import Units
 from emps_design.view import View, Viewed
 
 MASS, DAMPING = 50.0, 100.0  # M_a [kg] and B [N/(m/s)] of the paper's experiments, section IV-B
-OF_MASS = 115.7315  # kg, mass of their carriage
-FOLLOWED = 0.95  # r2 of the force fitted by mass and damping; a warning calls a lower one a poor fit
+OF_MASS = 115.7315  # kg, mass of the carriage in these experiments
+GOOD_FIT = 0.95  # least r2 of the force fitted by mass and damping without a warning
 
 NO_SENSOR, SENSOR, CASCADE = "impedance, no sensor", "impedance, force sensor", "cascade, force sensor"
 
@@ -35,41 +35,41 @@ NO_SENSOR, SENSOR, CASCADE = "impedance, no sensor", "impedance, force sensor", 
 class Comanipulation(Viewed):
     """Result of :func:`run_comanipulation`: the worst plant's verdict, and the transparency of the exact law.
 
-    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``taken`` is a message
-    on the parameters of the law that are defaults.
+    ``nominal`` has no mismatch. Every plant is simulated with all effects of the axis. ``assumed`` are messages on the
+    parameters of the law that are defaults.
     """
 
     assessment: ImpedanceAssessment
     nominal: MismatchStudy
     study: MismatchStudy
-    taken: tuple[Message, ...] = ()
+    assumed: tuple[Message, ...] = ()
 
     @property
     def law(self) -> ImpedanceLaw:
-        """The law that was simulated."""
+        """The simulated law."""
         return self.assessment.law
 
     def to_dict(self) -> dict[str, Any]:
         """Keys of the contract, and under ``study`` all of the mismatch study.
 
-        ``verdict`` is that of the worst plant, ``nominal_verdict`` that without mismatch; ``transparency`` is
-        the law's without mismatch: apparent mass [kg] and damping [N/(m/s)] from force over velocity at the frequencies
-        of the task (:mod:`.measures`), r2 about zero, and error, the rms relative error of the impedance over
-        0-20 rad/s. A law that is unstable or swings adds reason and nearest. ``asked`` holds M_a and B of the law.
+        ``verdict`` is that of the worst plant, ``nominal_verdict`` that without mismatch. ``transparency`` is that of
+        the law without mismatch: apparent mass [kg] and damping [N/(m/s)] from force over velocity at the frequencies
+        of the task (:mod:`.task`), r2 about zero, and error, the rms relative error of the impedance over 0-20 rad/s. A
+        law that is unstable or in a limit cycle has reason and nearest too. ``asked`` holds M_a and B of the law.
         """
         exact = self.nominal.plant(0)
         nominal = [message for message in self.nominal.warnings if message.code != "no-plants"]
-        own = [*self.taken, *_poor_fit(exact, self.assessment.axis.units)]
-        refused = self.assessment
-        unit = refused.axis.units.unit
+        assessment = self.assessment
+        messages = [*self.assumed, *_poor_fit(exact, assessment.axis.units)]
+        unit = assessment.axis.units.unit
         return {
-            **({} if refused.stable else {"reason": refused.reason, "nearest": refused.nearest}),
+            **({} if assessment.stable else {"reason": assessment.reason, "nearest": assessment.nearest}),
             "scenario": "comanipulation",
-            "axis": refused.axis.name,
-            "verdict": refused.verdict,
-            "headline": refused.headline,
+            "axis": assessment.axis.name,
+            "verdict": assessment.verdict,
+            "headline": assessment.headline,
             "nominal_verdict": exact["verdict"],
-            "worst_loop": worst_loop(refused.loops).to_dict(),
+            "worst_loop": worst_loop(assessment.loops).to_dict(),
             "asked": {"apparent_mass": self.law.mass, "apparent_damping": self.law.damping},
             "transparency": {name: exact[name] for name in ("apparent_mass", "apparent_damping", "r2", "error")},
             "peak_voltage": exact["peak_voltage"],
@@ -81,36 +81,36 @@ class Comanipulation(Viewed):
             "task": self.study.task.name,
             "law": self.law.to_dict(),
             "study": self.study.to_dict(),
-            "warnings": [*own, *dict.fromkeys((*nominal, *self.study.warnings))],
+            "warnings": [*messages, *dict.fromkeys((*nominal, *self.study.warnings))],
         }
 
     def view(self) -> View:
-        """The verdict, and what the operator feels."""
+        """The verdict, and the apparent impedance at the operator's hand."""
         return scenario_view(self.to_dict(), self.assessment.axis.units)
 
 
 @dataclass(frozen=True)
 class ComanipulationRequest(Request):
-    """What :func:`run_comanipulation` takes beside the axis."""
+    """Options of :func:`run_comanipulation` in addition to the axis."""
 
     mismatch: float = option(0.02, "largest relative error of an estimate")
     seed: int = option(0, **SEED)
     plants: int = option(200, **PLANTS)
-    mass: float | None = option(None, "M_a [kg], None: that of the axis's impedance controller, else of usual_law")
-    damping: float | None = option(None, "B [N/(m/s)], None: likewise")
+    mass: float | None = option(None, "M_a [kg], None: of the axis's impedance controller, else of usual_law")
+    damping: float | None = option(None, "B [N/(m/s)], None: of the axis's impedance controller, else of usual_law")
     filter: float | None = option(None, "low-pass of acceleration and current [rad/s], see impedance_law")
-    force: float | None = option(None, "push the carriage to and fro [N], None: a compliant hand guides it")
-    duration: float | None = option(None, "of the task [s], None: what the slowest mode needs, see fitted_task")
+    force: float | None = option(None, "force of alternating pushes [N], None: a compliant hand guides the carriage")
+    duration: float | None = option(None, "duration of the task [s], None: by the slowest mode, see fitted_task")
     two_quadrant: bool | None = option(None, **TWO_QUADRANT)
     workers: int = option(1, **WORKERS)
 
 
 @takes(ComanipulationRequest)
 def run_comanipulation(axis: Axis, request: ComanipulationRequest, **options: Any) -> Comanipulation:
-    """Simulate the co-manipulation task on ``axis`` with estimates off by up to ``mismatch``.
+    """Simulate the co-manipulation task on ``axis`` with errors of the estimates up to ``mismatch``.
 
-    A warning names the parameters that :func:`usual_law` gives. ``options`` go to :class:`ImpedanceLaw` (force_sensor,
-    coulomb_factor, ...).
+    A message names the parameters that are taken from :func:`usual_law`. ``options`` go to :class:`ImpedanceLaw`
+    (force_sensor, coulomb_factor, ...).
 
     >>> from emps_design.machines import machine
     >>> document = run_comanipulation(machine("emps2018"), mismatch=0.02, plants=0).to_dict()
@@ -119,15 +119,15 @@ def run_comanipulation(axis: Axis, request: ComanipulationRequest, **options: An
     """
     mismatch, seed = request.mismatch, request.seed
     controller, (usual_mass, usual_damping) = axis.controller, usual_law(axis)
-    taken = []
+    defaults = []
     mass = controller.mass if request.mass is None else request.mass
     if mass is None:
         mass = usual_mass
-        taken.append(f"M_a = {axis.units.quantity(mass, 'kg', 'g')}")
+        defaults.append(f"M_a = {axis.units.quantity(mass, 'kg', 'g')}")
     damping = controller.damping if request.damping is None else request.damping
     if damping is None:
         damping = usual_damping
-        taken.append(f"B = {axis.units.quantity(damping, 'N/(m/s)', 'g')}")
+        defaults.append(f"B = {axis.units.quantity(damping, 'N/(m/s)', 'g')}")
     law = impedance_law(axis, mass, damping, request.filter, **options)
     task = _task(axis, law, request)
     nominal = mismatch_study(axis, law, 0.0, 0, seed, False, task)
@@ -142,10 +142,10 @@ def run_comanipulation(axis: Axis, request: ComanipulationRequest, **options: An
         request.workers,
         progress=request.progress,
     )
-    in_proportion = f"as in the paper's experiments, in proportion to the {axis.units.word('mass')}"
-    text = f"{' and '.join(taken)}, not given: {in_proportion}"
-    usual = (note("usual-law", text, mass=mass, damping=damping),) if taken else ()
-    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, usual)
+    source = f"default of the paper's experiments, in proportion to the {axis.units.word('mass')}"
+    text = f"{' and '.join(defaults)}: {source}"
+    assumed = (note("usual-law", text, mass=mass, damping=damping),) if defaults else ()
+    return Comanipulation(ImpedanceAssessment(axis, law, mismatch, study), nominal, study, assumed)
 
 
 def _task(axis: Axis, law: ImpedanceLaw, request: ComanipulationRequest) -> Task:
@@ -159,7 +159,7 @@ def _task(axis: Axis, law: ImpedanceLaw, request: ComanipulationRequest) -> Task
 
 
 def usual_law(axis: Axis) -> tuple[float, float]:
-    """Return default M_a [kg] and B [N/(m/s)]: those of the paper's experiments, scaled by the mass of ``axis``.
+    """Return default M_a [kg] and B [N/(m/s)]: those of the paper's experiments, scaled with the mass of ``axis``.
 
     >>> from emps_design.machines import machine
     >>> usual_law(machine("emps2018")), usual_law(machine("emps2018").replace(mechanics={"mass": 0.3}))
@@ -170,13 +170,13 @@ def usual_law(axis: Axis) -> tuple[float, float]:
 
 
 def _poor_fit(exact: dict[str, Any], units: Units) -> list[Message]:
-    """Return a message if mass and damping fit the guided motion of the exact law poorly."""
-    if not exact["r2"] < FOLLOWED:
+    """Return a message if mass and damping are a poor fit to the guided motion under the exact law."""
+    if not exact["r2"] < GOOD_FIT:
         return []
     text = (
         f"apparent {units.word('mass')} and damping are a poor fit to the {units.word('force')} of this motion, "
-        f"r2 = {exact['r2']:.3g} at the frequencies of the task: something else resists there; the error of "
-        "the transparency is that of the impedance itself"
+        f"r2 = {exact['r2']:.3g} at the frequencies of the task: another {units.word('force')} acts there; the error "
+        "of the transparency is computed from the impedance itself and does not depend on this fit"
     )
     return [warning("poor-fit", text, r2=exact["r2"])]
 
@@ -185,15 +185,15 @@ def _poor_fit(exact: dict[str, Any], units: Units) -> list[Message]:
 class SensorComparison:
     """The same hand on the same plant under three laws; ``runs[law][scale]``.
 
-    ``scale`` 1 is a movement over +-120 mm, 0.1 a fine one over +-12 mm. ``break_away`` [N] is the force that starts a
-    resting carriage: None for the cascade, whose integral breaks it away in time.
+    ``scale`` 1 is a motion over +-120 mm, 0.1 a fine motion over +-12 mm. ``break_away`` [N] is the force that starts
+    motion from rest; None for the cascade, whose integral breaks away at any force.
     """
 
     runs: dict[str, dict[float, TaskRun]]
     break_away: dict[str, float | None]
 
     def to_dict(self) -> dict[str, Any]:
-        """Per law the break-away force [N], and per movement effort, tracking error and apparent impedance."""
+        """Per law the break-away force [N], and per motion the effort, tracking error and apparent impedance."""
         document: dict[str, Any] = {}
         for name, by_scale in self.runs.items():
             moves = []
@@ -223,7 +223,8 @@ def compare_sensors(
 ) -> SensorComparison:
     """Run ``law`` without and with a force sensor, and for comparison the cascade of section II-C with ``k_e1 = 1/B``.
 
-    The cascade has crossover [rad/s] and phase margin [deg] of the paper's velocity loop; there is none for B = 0.
+    By default the velocity loop of the cascade has the paper's crossover [rad/s] and phase margin [deg]. For B = 0
+    there is no cascade.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law

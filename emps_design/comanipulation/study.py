@@ -1,8 +1,8 @@
 """The mismatch study of section IV-B: the law's estimates of M, F_v and F_c are wrong by up to a few percent.
 
-All corners of the box of errors and a Monte-Carlo over it (uniform, seeded); per plant a verdict, the transparency,
-the peak voltage and the operator's effort. The plant is the axis; errors are the law's: its estimate is ``1 + error``
-times the plant's number.
+The study simulates all corners of the box of errors and uniform, seeded Monte-Carlo errors within it. For each it gives
+a verdict, the transparency, the peak voltage and the operator's effort. The plant is the axis; the estimate of the law
+is ``1 + error`` times the plant's parameter.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from emps_design.messages import Message, grave, note, warning
 from emps_design.request import Request, option, takes
 from emps_design.units import Units
 
-MOST = 1_000_000  # plants; more would not fit into memory
-TOGETHER = 2_500  # plants whose poles are computed in one call, which cannot be interrupted
+MOST = 1_000_000  # plants, for the memory
+TOGETHER = 2_500  # plants per computation of poles, which cannot be interrupted
 CALM = ("stable", "dead_band")  # verdicts of a carriage that comes to rest
-ALIKE = [0, 1, 1, 2, 2]  # places of errors of mass, viscous and Coulomb friction that are the same either way
+ALIKE = [0, 1, 1, 2, 2]  # columns of errors that are equal in both directions: mass, viscous, Coulomb
 BOUNDED = (*CALM, "creeping")  # neither a limit cycle nor unstable
 
 # Options of a study.
-PLANTS: dict[str, Any] = {"help": "Monte-Carlo plants beside the corners", "limits": (0, MOST)}
-SEED: dict[str, Any] = {"help": "seed of the Monte-Carlo", "limits": (0, 2**63)}
-WORKERS: dict[str, Any] = {"help": "threads, which change the time and not the result", "limits": (1, 256)}
+PLANTS: dict[str, Any] = {"help": "Monte-Carlo plants in addition to the corners", "limits": (0, MOST)}
+SEED: dict[str, Any] = {"help": "seed of the Monte-Carlo plants", "limits": (0, 2**63)}
+WORKERS: dict[str, Any] = {"help": "number of threads; no influence on the results", "limits": (1, 256)}
 TWO_QUADRANT: dict[str, Any] = {
-    "help": "errors of each of the five parameters of (5), None: if the axis's friction differs by direction"
+    "help": "independent errors of the five parameters of (5), None: if the axis's friction differs by direction"
 }
 
 
 @dataclass(frozen=True)
 class MismatchStudy:
-    """Verdict, transparency and effort of every plant tried; the first ``corners`` rows are the corners.
+    """Verdict, transparency and effort of every simulated plant; the first ``corners`` rows are the corners.
 
-    ``errors`` (m, 5) relative, in the order of ``PARAMETERS``; ``error`` (m,) the rms relative error of the apparent
-    impedance over 0-20 rad/s (nan where the poles are unstable); ``radius`` (m,) the largest pole modulus. ``beyond``:
-    what else was changed, one thing at a time, with the worst verdict of the corners.
+    ``errors`` (m, 5) are relative, in the order of ``PARAMETERS``; ``error`` (m,) is the rms relative error of the
+    apparent impedance over 0-20 rad/s (nan if the poles are unstable); ``radius`` (m,) is the largest pole modulus.
+    ``beyond`` has further changes of the machine, one at a time, with the worst verdict of the corners.
     """
 
     axis: Axis
@@ -64,7 +64,7 @@ class MismatchStudy:
 
     @cached_property
     def verdict(self) -> np.ndarray:
-        """Places in ``VERDICTS``, shape (m,): as simulated, and unstable wherever the poles are."""
+        """Indices into ``VERDICTS`` (m,): as simulated, or unstable if the poles are."""
         return np.where(self.radius > 1.0 + MARGINAL, VERDICTS.index("unstable"), self.measures.verdict)
 
     @property
@@ -74,12 +74,12 @@ class MismatchStudy:
 
     @property
     def split(self) -> bool:
-        """Whether the friction of each direction has its own error."""
+        """Whether the friction errors of the two directions are independent."""
         return self.corners > 8
 
     @property
     def creep(self) -> float:
-        """Highest speed [m/s] at which a plant creeps on; 0 where none does."""
+        """Largest creep speed [m/s] of a plant; 0 if none creeps."""
         creeping = self.verdict == VERDICTS.index("creeping")
         return float(self.measures.tends_to[creeping].max(initial=0.0))
 
@@ -92,14 +92,14 @@ class MismatchStudy:
     def stable_share(self) -> tuple[float, float, float]:
         """Share of plants that come to rest after the release, with its 95 % Clopper-Pearson interval.
 
-        They are neither unstable nor in a limit cycle nor creeping; a plant that never moved does not count as stable.
-        The share is that of the Monte-Carlo plants; of the corners, without an interval, if no plants were drawn.
+        These are neither unstable nor in a limit cycle nor creeping; a plant that never moved does not count. The share
+        is that of the Monte-Carlo plants, or if there are none that of the corners, without an interval.
         """
         return self._share(CALM)
 
     @property
     def bounded_share(self) -> tuple[float, float, float]:
-        """The same for plants that are neither unstable nor in a limit cycle; they may creep."""
+        """As :attr:`stable_share`, for plants that are neither unstable nor in a limit cycle but may creep."""
         return self._share(BOUNDED)
 
     def _share(self, verdicts: tuple[str, ...]) -> tuple[float, float, float]:
@@ -112,7 +112,7 @@ class MismatchStudy:
         return k / n, low, high
 
     def plant(self, row: int) -> dict[str, Any]:
-        """Everything about one plant: errors, estimates, verdict, transparency, peak voltage, effort."""
+        """Errors, estimates, verdict, transparency, peak voltage and effort of the plant in ``row``."""
         errors = {name: float(e) for name, e in zip(PARAMETERS, self.errors[row], strict=True)}
         estimate = self.law.estimate.with_errors(errors).to_dict()
         if not self.law.estimate.two_quadrant:
@@ -134,39 +134,40 @@ class MismatchStudy:
 
     @property
     def warnings(self) -> tuple[Message, ...]:
-        """Messages: undefined numbers in :meth:`to_dict` and why, and worse verdicts beyond the mismatch."""
+        """Messages on undefined numbers in :meth:`to_dict`, and on worse verdicts beyond the mismatch."""
         messages, units = list(self.task.warnings), self.axis.units
         carriage = units.word("carriage")
         if not self.plants:
-            text = "stable_share_interval is undefined: no plants were drawn, stable_share is that of the corners"
+            text = "stable_share_interval is undefined: without random plants, stable_share is that of the corners"
             messages.append(note("no-plants", text))
         if np.isnan(self.error).any():
             messages.append(grave("unstable-plants", "error is undefined for plants whose sampled loop is unstable"))
         still = int(np.sum(self.verdict == VERDICTS.index("no_motion")))
         if still:
             text = (
-                f"no verdict for {still} of {len(self.errors)} plants: the {carriage} stood when it was let go; what "
-                f"was felt ({units.word('mass')}, damping, r2, force_per_speed) is undefined for plants that "
+                f"no verdict for {still} of {len(self.errors)} plants: the {carriage} was at rest at the release; the "
+                f"apparent impedance ({units.word('mass')}, damping, r2, force_per_speed) is undefined for plants that "
                 "never moved"
             )
             messages.append(warning("no-verdict", text, count=still))
         if np.any(self.measures.diverged > 0):
-            text = "what was felt is undefined for plants whose simulation was broken off: the loop ran away"
+            text = "the apparent impedance is undefined for plants whose simulation stopped because the loop diverged"
             messages.append(grave("ran-away", text))
         wanders = self.measures.wanders & np.isin(self.verdict, [VERDICTS.index(name) for name in CALM])
         if wanders.any():
             drift = float(self.measures.drift[wanders].max())
-            who = f"{int(wanders.sum())} of {len(self.errors)} plants go" if self.mismatch else f"the {carriage} goes"
+            many = f"{int(wanders.sum())} of {len(self.errors)} plants drift"
             text = (
-                f"{who} on at up to {units.quantity(drift, 'mm/s', '.2g')}, one or two encoder steps a period: no "
-                "friction drives it, the encoder's steps do"
+                f"{many if self.mismatch else f'the {carriage} drifts'} at up to "
+                f"{units.quantity(drift, 'mm/s', '.2g')}, one or two encoder steps per period: encoder quantisation "
+                "causes it, not friction"
             )
             messages.append(warning("wanders", text, speed=drift))
         here = int(self.verdict.max())
         worse = [change for change in self.beyond if VERDICTS.index(change["verdict"]) > here]
         if worse:
             changes = "; ".join(f"{change['what']}: {change['verdict']}" for change in worse)
-            text = f"worse than within the mismatch, with the rest of the machine as it is: {changes}"
+            text = f"worse than within the mismatch, with one change of the machine at a time: {changes}"
             verdicts = [change["verdict"] for change in worse]
             if set(verdicts) <= {*CALM, "no_motion"}:
                 messages.append(warning("other-beyond-mismatch", text, verdicts=verdicts))
@@ -175,7 +176,7 @@ class MismatchStudy:
         return tuple(messages)
 
     def to_dict(self) -> dict[str, Any]:
-        """Counts, shares with interval, medians and 5-95 % ranges over the plants, corners, and the worst case."""
+        """Counts, shares with intervals, medians and 5-95 % ranges over the plants, the corners, and the worst case."""
         share, low, high = self.stable_share
         bounded, bounded_low, bounded_high = self.bounded_share
         drawn = slice(self.corners, None) if self.plants else slice(None)
@@ -214,21 +215,21 @@ class MismatchStudy:
 
 @dataclass(frozen=True)
 class StudyRequest(Request):
-    """What :func:`mismatch_study` takes beside axis and law."""
+    """Options of :func:`mismatch_study` in addition to axis and law."""
 
     mismatch: float = option(0.02, "largest relative error of an estimate")
     plants: int = option(1000, **PLANTS)
     seed: int = option(0, **SEED)
     two_quadrant: bool | None = option(None, **TWO_QUADRANT)
-    task: Task | None = option(None, "what the operator does, None: fitted_task")
+    task: Task | None = option(None, "task of the operator, None: fitted_task")
     workers: int = option(1, **WORKERS)
 
 
 @takes(StudyRequest)
 def mismatch_study(axis: Axis, law: ImpedanceLaw, request: StudyRequest) -> MismatchStudy:
-    """Simulate ``law`` with estimates off by up to ``mismatch``: every corner, and ``plants`` drawn with ``seed``.
+    """Simulate ``law`` with errors of its estimates up to ``mismatch``: every corner, and ``plants`` random errors.
 
-    With ``two_quadrant`` plants are released in either direction, and each is judged by the worse of the two runs.
+    With ``two_quadrant`` plants are released in both directions, and the worse of the two runs counts.
     Raises :class:`InputError` for a number out of range.
 
     >>> from emps_design.machines import machine
@@ -246,19 +247,19 @@ def mismatch_study(axis: Axis, law: ImpedanceLaw, request: StudyRequest) -> Mism
     drawn = np.random.default_rng(seed).uniform(-mismatch, mismatch, (request.plants, 5 if split else 3))
     errors = np.vstack([corners, drawn if split else drawn[:, ALIKE]])
 
-    off = with_errors(law, errors)
+    laws = with_errors(law, errors)
     directions = (1, -1) if split or plant.two_quadrant else (1,)
     parts = [errors[start : start + TOGETHER] for start in range(0, len(errors), TOGETHER)]
 
-    def judged(part: np.ndarray) -> np.ndarray:
+    def error_and_radius(part: np.ndarray) -> np.ndarray:
         return _error_and_radius(axis, with_errors(law, part), directions)
 
-    error, radius = np.hstack(list(in_threads(judged, parts, workers)))
+    error, radius = np.hstack(list(in_threads(error_and_radius, parts, workers)))
     error[radius > 1.0 + MARGINAL] = np.nan
     task = fitted_task(axis, law, mismatch) if request.task is None else request.task
-    measures = run_many(axis, [off], task, workers, progress)
-    if split or plant.two_quadrant:  # let go moving the other way too; each plant is judged by its worse direction
-        other = run_many(axis, [off], task.reversed, workers, progress)
+    measures = run_many(axis, [laws], task, workers, progress)
+    if split or plant.two_quadrant:  # also release in the other direction; the worse one counts
+        other = run_many(axis, [laws], task.reversed, workers, progress)
         worse = other.verdict > measures.verdict
         measures = replace(measures, raw=np.where(worse[:, None], other.raw, measures.raw))
     beyond = _verdicts_beyond(axis, with_errors(law, errors[: len(corners)]), task)
@@ -268,7 +269,7 @@ def mismatch_study(axis: Axis, law: ImpedanceLaw, request: StudyRequest) -> Mism
 def run_worst(axis: Axis, study: MismatchStudy) -> TaskRun:
     """Return the run of the worst plant of a ``study`` of ``axis``, in the direction that decided its verdict.
 
-    If only its poles are unstable, the run may end before that shows.
+    If only its poles are unstable, the instability may not be visible within the run.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -323,13 +324,13 @@ def _verdicts_beyond(axis: Axis, laws: ImpedanceLaw, task: Task) -> tuple[dict[s
 
 
 def _not_varied(units: Units) -> dict[str, str]:
-    """What a study does not vary, and why."""
+    """The parameters that a study does not vary, with the reason."""
     return {
-        "force_gain": f"scales {units.word('mass')} and friction alike, which are identified through it: an error of "
-        "it is inside the box",
-        "filter": "is the law's own and known exactly",
-        "current loop, computation_delay, encoder": "one change at a time, see beyond",
-        "static friction, other effects": "as the axis file has them, in every plant; an effect can be added there",
+        "force_gain": f"scales {units.word('mass')} and friction equally, which are identified through it: the box "
+        "of errors contains its error",
+        "filter": "part of the law and known exactly",
+        "current loop, computation_delay, encoder": "changed one at a time, see beyond",
+        "static friction, other effects": "as in the axis file, in every plant; effects can be added there",
     }
 
 

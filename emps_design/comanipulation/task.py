@@ -1,14 +1,14 @@
-"""The operator's task, the measures of a simulated one, and the verdict that follows from them.
+"""The operator's task, the measures of a simulated run, and the verdict that follows from them.
 
-The operator guides the carriage with a compliant hand, or pushes it with a set force, and releases it. The measures
+The operator guides the carriage with a compliant hand, or pushes it with a given force, and releases it. The measures
 are computed sample by sample.
 
-The apparent impedance is that at the task's own frequencies. ``F``, ``V`` and ``A`` are sums over the guided samples
-in motion of the force, the mean velocity and the mean acceleration of a period, times ``exp(-j w t)``. Mass and
-damping minimise ``|F - M A - B V|^2`` summed over the frequencies of the task: ``F/V = B + j w M`` weighted by the
-spectrum of the velocity, exact also for a motion that does not begin and end at rest. A regression on the
-acceleration of single samples would fit the steps of an ordinary encoder instead of the mass: from one sample to the
-next they are many times as large as the acceleration of the movement, and the force does not follow them.
+The apparent impedance is evaluated at the frequencies of the task. ``F``, ``V`` and ``A`` are sums of the force, the
+mean velocity and the mean acceleration per period, times ``exp(-j w t)``, over the guided samples in motion. Mass and
+damping minimise ``|F - M A - B V|^2`` summed over the frequencies of the task. This is ``F/V = B + j w M`` weighted by
+the spectrum of the velocity, and it is exact for a motion that does not begin and end at rest, too. A regression on the
+acceleration of single samples would fit encoder steps instead of the mass: between samples they are much larger than
+the acceleration of the motion, and the force does not follow them.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from emps_design.simulation.kernels.compile import inlined, part
 from emps_design.units import TURN
 
 USUAL_HAND = (1000.0, 100.0)  # N/m and N/(m/s) of an operator's hand
-RATES = (0.4, 1.0)  # Hz, about, at which a hand moves the carriage to and fro
+RATES = (0.4, 1.0)  # Hz, approximate frequencies of the hand's motion
 PACE = 2.0 * math.pi * RATES[0]  # rad/s
-HELD, CALMING, WATCHED = 5.0, 4.0, 1.0  # s, at least: in the hand, calming down, watched for a verdict
-DECAYS, CYCLES = 8.0, 3.0  # time constants of the slowest pole, periods of the slowest oscillation that is predicted
+HELD, SETTLING, WATCHED = 5.0, 4.0, 1.0  # s, minimum time: guided, settling, observed for the verdict
+DECAYS, CYCLES = 8.0, 3.0  # time constants of the slowest pole, periods of the slowest predicted oscillation
 LONGEST = 400_000  # samples after the release
 
-# The measures in the order of the array that holds them; the sums at two frequencies follow.
+# The measures in the order of their array; the sums at the two frequencies follow.
 NAMES = (
     "peak_u", "clipped", "clipped_end", "flips", "peak_force", "force2", "impulse", "work", "path", "miss2", "held",
     "end_min_v", "end_max_v", "end_turns", "end_min_u", "end_max_u", "end_speed", "release_v", "moving", "drift",
@@ -47,17 +47,17 @@ NAMES = (
  _END_MIN_V, _END_MAX_V, _END_TURNS, _END_MIN_U, _END_MAX_U, _END_SPEED, _RELEASE_V, _MOVING, _DRIFT, _RATIO, _DIVERGED,
  _SLOW) = range(len(NAMES) + 1)  # fmt: skip
 _FAST, MEASURES = _SLOW + 6, _SLOW + 12  # acceleration, velocity and force, real and imaginary part each
-_CHANGE = 0.01  # of the speed, from one span to the next, that counts as one
-_SWING = 50  # samples within which a voltage that was at one limit must be at the other to count as a flip
+_CHANGE = 0.01  # relative change of the speed between two spans below which it counts as rounding
+_SWING = 50  # samples within which the voltage must change from one limit to the other to count as a flip
 
 
 @dataclass(frozen=True)
 class Task:
     """An operator's task, sampled with the controller.
 
-    ``push`` (n,) [N] is the operator's force, zero from ``release`` on; ``wish`` (n,) [m] is the position that the hand
-    aims at, nan from ``release`` on. ``hand``: its stiffness [N/m] and damping [N/(m/s)]; its force is held over each
-    period. The carriage is released at sample ``release``; verdicts use the samples from ``end`` on.
+    ``push`` (n,) [N] is the operator's force, zero from ``release`` on; ``wish`` (n,) [m] is the target position of the
+    hand, nan from ``release`` on. ``hand`` is its stiffness [N/m] and damping [N/(m/s)]; its force is constant over
+    each period. The carriage is released at sample ``release``; verdicts use the samples from ``end`` on.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Task:
     warnings: tuple[Message, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The operator's task, SI units."""
+        """The parameters of the task, SI units."""
         wish = self.wish[: self.release]
         return {
             "name": self.name,
@@ -99,7 +99,7 @@ class Task:
 
     @cached_property
     def turns(self) -> np.ndarray:
-        """Cosine and minus sine of the phase of both frequencies of the task while it lasts, shape (release, 4)."""
+        """Cosine and minus sine of the phase of both frequencies until the release, shape (release, 4)."""
         phase = 2.0 * np.pi * np.outer(np.arange(self.release) / self.release, periods_of(self.release * self.period))
         return np.stack([np.cos(phase), -np.sin(phase)], axis=-1).reshape(self.release, -1)
 
@@ -114,11 +114,11 @@ def guided_task(
 ) -> Task:
     """Return a task in which a hand guides the carriage over +-0.12 m and releases it in motion.
 
-    ``hand`` is its stiffness [N/m] and damping [N/(m/s)]. It aims at 0.10 m at about 0.4 Hz plus 0.02 m at about 1 Hz,
-    times ``scale``, faded in over half a second, with whole periods up to the release at half of ``duration`` [s],
-    where the carriage is fastest; the force follows from the law. Free motion of ``free`` [s] follows, by default the
-    other half; a verdict uses the last ``watched`` [s], by default a tenth of ``duration``. :func:`fitted_task` chooses
-    all this for an axis and a law. Raises :class:`InputError` for a scale that is not above 0.
+    ``hand`` is its stiffness [N/m] and damping [N/(m/s)]. Its target position is a sum of 0.10 m at about 0.4 Hz and
+    0.02 m at about 1 Hz, times ``scale``, faded in over half a second. Whole periods end at the release at half of
+    ``duration`` [s], where the speed is largest; the force follows from the law. Free motion of ``free`` [s] follows,
+    by default the other half; a verdict uses the last ``watched`` [s], by default a tenth of ``duration``.
+    :func:`fitted_task` chooses all this for an axis and a law. Raises :class:`InputError` unless the scale is above 0.
     """
     if not np.isfinite(scale) or scale <= 0.0:
         raise InputError(f"scale: found {scale:g}, expected a number above 0")
@@ -151,16 +151,15 @@ def pushed_task(
     free: float | None = None,
     watched: float | None = None,
 ) -> Task:
-    """Return a task of pushes of ``force`` [N] to and fro with 0.25 s ramps, the last ending at half time (Fig. 12).
+    """Return a task of alternating pushes of ``force`` [N] with 0.25 s ramps, which end at half time (Fig. 12).
 
-    The force must exceed the break-away force, or nothing moves: the law compensates no Coulomb friction at rest.
-    Raises :class:`InputError` for a force that is not above 0.
-    ``free`` and ``watched`` [s] as in :func:`guided_task`.
+    The force must exceed the break-away force to move the carriage, since the law compensates no Coulomb friction at
+    rest. ``free`` and ``watched`` [s] as in :func:`guided_task`. Raises :class:`InputError` unless it is above 0.
     """
     if not np.isfinite(force) or force <= 0.0:
         raise InputError(f"force: found {force:g}, expected a push of more than 0")
     n, release, end = _samples(period, duration, free, watched)
-    t = np.arange(n) * period / (release * period / 5.0)  # the plan is written for 5 s
+    t = np.arange(n) * period / (release * period / 5.0)  # the profile is defined over 5 s
     corners = [0.0, 0.25, 0.5, 1.5, 2.0, 3.25, 3.75, 4.75, 5.0]
     levels = [0.0, 0.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 0.0]
     push = force * np.interp(t, corners, levels, right=0.0)
@@ -174,12 +173,12 @@ def fitted_task(
     force: float | None = None,
     hand: tuple[float, float] | None = None,
 ) -> Task:
-    """Return a task suited to judge ``law`` on ``axis``: a guided one, or pushes of ``force`` [N].
+    """Return a task for the verdict on ``law`` on ``axis``: a guided one, or pushes of ``force`` [N].
 
-    The hand is strong enough to break the carriage away and to lead the apparent mass, and soft enough for a light
-    carriage (:func:`fitted_hand`; ``hand`` sets it). The free motion lasts eight time constants of the slowest pole at
-    the corners of ``mismatch``, and a verdict uses three periods of the slowest oscillation that the describing
-    function predicts there; at least 4 s and 1 s.
+    The hand is stiff enough to break the carriage away and to guide the apparent mass, and soft enough for a light
+    carriage (:func:`fitted_hand`, unless ``hand`` is given). The free motion lasts eight time constants of the slowest
+    pole at the corners of ``mismatch``, at least 4 s; the verdict uses three periods of the slowest oscillation that
+    the describing function predicts there, at least 1 s.
 
     >>> from emps_design.control.impedance.law import impedance_law
     >>> from emps_design.machines import machine
@@ -189,28 +188,28 @@ def fitted_task(
     ({'stiffness': 1000.0, 'damping': 100.0}, 10)
     """
     period = axis.sampling.period
-    calming, watched = _slowest(axis, law, mismatch)
+    settling, watched = _slowest(axis, law, mismatch)
     messages = []
-    if calming + watched > LONGEST * period:
+    if settling + watched > LONGEST * period:
         text = (
-            f"the slowest mode takes {calming + watched:.3g} s to show what it does, the simulated task ends "
+            f"the slowest mode needs {settling + watched:.3g} s for a verdict, but the simulated task ends "
             f"{LONGEST * period:g} s after the release: slow creep and slow oscillations may be missed"
         )
-        messages.append(grave("task-too-short", text, needed=calming + watched, watched=LONGEST * period))
-        share = LONGEST * period / (calming + watched)
-        calming, watched = share * calming, share * watched
+        messages.append(grave("task-too-short", text, needed=settling + watched, watched=LONGEST * period))
+        share = LONGEST * period / (settling + watched)
+        settling, watched = share * settling, share * watched
     held = max(HELD, 50 * period)
-    times = {"duration": 2.0 * held, "free": calming + watched, "watched": watched}
+    times = {"duration": 2.0 * held, "free": settling + watched, "watched": watched}
     if force is not None:
         task = pushed_task(period, force=force, **times)
-        stuck = break_away(law, FrictionModel.of(axis))
-        if force <= stuck:
+        starting = break_away(law, FrictionModel.of(axis))
+        if force <= starting:
             units = axis.units
             text = (
-                f"a push of {units.quantity(force, 'N', 'g')} does not break the {units.word('carriage')} away, "
-                f"which takes {units.quantity(stuck, 'N')}"
+                f"a push of {units.quantity(force, 'N', 'g')} does not move the {units.word('carriage')}: it is below "
+                f"the break-away {units.word('force')} of {units.quantity(starting, 'N')}"
             )
-            messages.append(warning("push-too-weak", text, force=force, break_away=stuck))
+            messages.append(warning("push-too-weak", text, force=force, break_away=starting))
     else:
         fitted, scale = fitted_hand(axis, law)
         task = guided_task(period, hand=hand or fitted, scale=scale, **times)
@@ -218,42 +217,42 @@ def fitted_task(
 
 
 def usual_scale(axis: Axis) -> float:
-    """Scale of the 0.12 m travel of the guided task on ``axis``: 1, or 5 on a rotary one, which makes it 0.6 rad.
+    """Scale of the 0.12 m travel of the guided task on ``axis``: 1, or 5 on a rotary one, for 0.6 rad.
 
-    If most of the travel were break-away, the motion would not show the apparent inertia.
+    The travel must be large against the deflection of the hand at break-away to show the apparent inertia.
     """
     return TURN if axis.units.rotary else 1.0
 
 
 def fitted_hand(axis: Axis, law: ImpedanceLaw) -> tuple[tuple[float, float], float]:
-    """Return a hand (stiffness [N/m], damping [N/(m/s)]) for ``law`` on ``axis``, and the share of the 0.12 m it moves.
+    """Return a hand (stiffness [N/m], damping [N/(m/s)]) for ``law`` on ``axis``, and the scale of its 0.12 m travel.
 
-    1000 N/m and 100 N/(m/s) by default. Stiffer if three times the break-away force or the apparent impedance at the
-    frequency of the movement requires it; softer for a light carriage, which a force held for a period would set
-    swinging, and while the loop with the hand is unstable. The travel is that of :func:`usual_scale`, less if the motor
-    would reach its limit.
+    The default is 1000 N/m and 100 N/(m/s). The hand is stiffer if three times the break-away force or the apparent
+    impedance at the frequency of the motion requires it. It is softer for a light carriage, which would oscillate under
+    a force that is constant over a period, and while the loop with the hand is unstable. The scale is that of
+    :func:`usual_scale`, or smaller if the motor would reach its limit.
     """
     length = usual_scale(axis)
     plant, period = FrictionModel.of(axis), axis.sampling.period
-    stuck, light = break_away(law, plant), min(plant.mass, law.mass)
+    starting, light = break_away(law, plant), min(plant.mass, law.mass)
     viscous = max(plant.viscous)
     lead = abs(complex(law.damping, PACE * law.mass)) * PACE  # N/m, the apparent impedance over the position
     motor = abs(complex(viscous - law.damping, PACE * (plant.mass - law.mass))) * PACE * 0.24 * length  # N, full travel
-    jolt = max(1.0, law.ratio) * max(plant.coulomb)  # N, of the Coulomb compensation when the velocity turns
-    room = 0.85 * axis.drive.gain * axis.drive.command_limit - jolt
-    scale = length * float(np.clip(room / motor, 0.01, 1.0)) if motor > 0.0 else length
-    stiffness = max(USUAL_HAND[0], 3.0 * stuck / (0.12 * scale), 2.0 * lead)
+    jump = max(1.0, law.ratio) * max(plant.coulomb)  # N, of the Coulomb compensation at a reversal
+    available = 0.85 * axis.drive.gain * axis.drive.command_limit - jump
+    scale = length * float(np.clip(available / motor, 0.01, 1.0)) if motor > 0.0 else length
+    stiffness = max(USUAL_HAND[0], 3.0 * starting / (0.12 * scale), 2.0 * lead)
     stiffness = min(stiffness, 0.05 * light / period**2, 2.0 * light / period)
     for _ in range(12):
         contact = Environment(0.0, 0.1 * stiffness, stiffness)
         if sampled_loop(law, plant, Clock.of(axis), environment=contact).stable:
             break
         stiffness *= 0.5
-    return (stiffness, 0.1 * stiffness), max(scale, 3.0 * stuck / (0.12 * stiffness))
+    return (stiffness, 0.1 * stiffness), max(scale, 3.0 * starting / (0.12 * stiffness))
 
 
 def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, float]:
-    """Return the settling time of the released carriage and the time in which a limit cycle shows, both [s]."""
+    """Return the settling time of the released carriage and the time to observe a limit cycle, both [s]."""
     plant, clock, corners = FrictionModel.of(axis), Clock.of(axis), exact_and_corners(mismatch)
     together, decay = law.with_errors(stacked(corners)), math.inf
     for direction in plant.directions:
@@ -263,7 +262,7 @@ def _slowest(axis: Axis, law: ImpedanceLaw, mismatch: float) -> tuple[float, flo
             decay = min(decay, -math.log(inside.max()) / clock.period)
     oscillations = relay_oscillations(together, plant, clock)
     slowest = min((oscillation[0] for oscillation in oscillations if oscillation is not None), default=math.inf)
-    return max(CALMING, DECAYS / decay), max(WATCHED, CYCLES * 2.0 * math.pi / slowest)
+    return max(SETTLING, DECAYS / decay), max(WATCHED, CYCLES * 2.0 * math.pi / slowest)
 
 
 def _samples(period: float, duration: float, free: float | None, watched: float | None) -> tuple[int, int, int]:
@@ -278,11 +277,11 @@ def _samples(period: float, duration: float, free: float | None, watched: float 
 
 @part
 def measure(q, v, u, force, wish, turns, limit, period, release, end, m):
-    """Fill ``m`` (MEASURES,) from a run: ``q`` [m], ``v`` [m/s] (n + 1,), the last one the final state.
+    """Fill ``m`` (MEASURES,) from a run: ``q`` [m] and ``v`` [m/s] (n + 1,) include the final state.
 
-    ``u`` [V], ``force`` [N] of the operator, held over each period, and ``wish`` [m], the position that the hand aims
-    at, have n samples or one more; ``turns`` (release, 4) see :attr:`~emps_design.comanipulation.task.Task.turns`. The
-    carriage is released at sample ``release``; a verdict uses the samples from ``end`` on.
+    ``u`` [V], the operator's ``force`` [N], constant over each period, and the hand's target position ``wish`` [m] have
+    n samples or one more; ``turns`` (release, 4) as :attr:`~emps_design.comanipulation.task.Task.turns`. The carriage
+    is released at sample ``release``; a verdict uses the samples from ``end`` on.
     """
     n = q.size - 1
     last_clip, clipped_at = 0.0, 0
@@ -317,7 +316,7 @@ def reset(n, release, m):
 def measure_guided(q, q1, v, v1, u, force, wish, turn, period, m):
     """Measure one period before the release, from position and velocity at its beginning and its end.
 
-    ``turn`` are cosine and minus sine of the phase of the task's two frequencies, the slow one first.
+    ``turn`` is a row of :attr:`Task.turns`, the slow frequency first.
     """
     moved, rate = q1 - q, 1.0 / period
     m[_PEAK_U] = max(m[_PEAK_U], abs(u))
@@ -327,7 +326,7 @@ def measure_guided(q, q1, v, v1, u, force, wish, turn, period, m):
     m[_WORK] += force * moved
     m[_PATH] += abs(moved)
     m[_MISS2] += (wish - q) ** 2
-    # In motion; means over the period for which the force is held.
+    # Samples in motion only; means over the period in which the force is constant.
     moves = 1.0 if v * v1 > 0.0 else 0.0
     a, w, f = moves * ((v1 - v) * rate), moves * (moved * rate), moves * force
     slow_re, slow_im, fast_re, fast_im = turn
@@ -347,7 +346,7 @@ def measure_guided(q, q1, v, v1, u, force, wish, turn, period, m):
 
 @part
 def measure_free(v1, u, k, n, release, m):
-    """Measure period ``k`` of ``n``, after the release: peak voltage and the samples until the carriage first stops."""
+    """Measure period ``k`` of ``n`` after the release: peak voltage, and number of samples until the first stop."""
     m[_PEAK_U] = max(m[_PEAK_U], abs(u))
     m[_MOVING] = k + 1.0 - release if v1 == 0.0 and m[_MOVING] == n - release else m[_MOVING]
 
@@ -373,8 +372,9 @@ def finish(free, release_v, n, release, end, period, m):
 def _drift(free, moving, period):
     """Return the limit of the free motion's speed [m/s] and the ratio of two changes of the speed.
 
-    The limit is Aitken's from the speeds over three equal spans, exact for one exponential decay; a negative one means
-    that dry friction stops the carriage in finite time. The first tenth is skipped: filters settle.
+    The limit is Aitken's extrapolation from the mean speeds of three equal spans, which is exact for one exponential
+    decay. A negative limit means that dry friction stops the carriage in finite time. The first tenth is skipped, in
+    which filters settle.
     """
     skip = moving // 10
     span = (moving - skip) // 3
@@ -387,7 +387,7 @@ def _drift(free, moving, period):
     side = 1.0 if v1 >= 0.0 else -1.0
     first, second = v2 - v1, v3 - v2
     bend = second - first
-    # A change much smaller than the speed is rounding and no sign of growth.
+    # A change much smaller than the speed is rounding, not growth.
     ratio = second / first if first != 0.0 and abs(second) > _CHANGE * abs(v3) else 0.0
     if abs(bend) > 1e-12 * (abs(v1) + abs(v3)):
         return side * (v3 - second * second / bend), ratio
@@ -396,7 +396,7 @@ def _drift(free, moving, period):
 
 @part
 def mark_unstable(limit, m):
-    """Fill the measures of a run that ended early: unstable, the voltage at its limit, the rest nan."""
+    """Fill the measures of a run that ended early: diverged, peak voltage at the limit, the rest nan."""
     for i in range(MEASURES):
         m[i] = np.nan
     m[_DIVERGED], m[_PEAK_U] = 1.0, limit
@@ -406,8 +406,8 @@ def mark_unstable(limit, m):
 class Measures:
     """Measures of m simulated plants; every attribute is an array (m,).
 
-    ``step`` [m/s] is one encoder step per period, ``threshold`` [m/s] see ``drift_threshold``; ``expected`` [m/s] is
-    the speed to which friction drives the free motion, in closed form; ``integrates``: the law is a cascade.
+    ``step`` [m/s] is one encoder step per period, ``threshold`` [m/s] is that of ``drift_threshold``; ``expected``
+    [m/s] is the final speed of the free motion under friction, in closed form; ``integrates``: the law is a cascade.
     """
 
     raw: np.ndarray
@@ -423,13 +423,13 @@ class Measures:
 
     @property
     def verdict(self) -> np.ndarray:
-        """Places in ``VERDICTS``.
+        """Indices into ``VERDICTS``.
 
-        Unstable: the run diverged, ended at the voltage limit after the release, swung from limit to limit ten times
-        or more, or its free motion grows. Limit cycle: in the watched samples the velocity still takes both signs, by
-        two encoder steps per period, or reaches zero ten times and takes both signs; with one sign alone it is
-        stick-slip creep. No motion: the carriage was at rest when released, and stayed there. Otherwise the limit of
-        the free motion's speed decides, except for a cascade, whose integral compensates dry friction.
+        Unstable: the run diverged, ended at the voltage limit after the release, changed from limit to limit ten times
+        or more, or its free motion grows. Limit cycle: in the observed samples the velocity still has both signs, by
+        two encoder steps per period, or reaches zero ten times and has both signs; with one sign only it is stick-slip
+        creep. No motion: the carriage was at rest at the release and stayed there. Otherwise the final speed of the
+        free motion decides, except for a cascade, whose integral compensates dry friction.
         """
         low, high = -2.0 * self.step, 2.0 * self.step
         peak, back = (pick(self.end_max_v, -self.end_min_v) for pick in (np.maximum, np.minimum))
@@ -453,23 +453,26 @@ class Measures:
 
     @property
     def at_rest(self) -> np.ndarray:
-        """Whether the carriage was at rest in the watched samples."""
+        """Whether the carriage was at rest in the observed samples."""
         return (self.end_max_v == 0.0) & (self.end_min_v == 0.0)
 
     @property
     def turned(self) -> np.ndarray:
-        """Whether the motion reversed after the release, as on an axis that a constant force pulls down."""
+        """Whether the motion reversed after the release, as on an axis that sinks under a constant force."""
         with np.errstate(invalid="ignore"):
             return (self.release_v * self.end_speed < 0.0) & ~self.at_rest
 
     @property
     def tends_to(self) -> np.ndarray:
-        """Speed [m/s] that free motion tends to, negative if friction ends it; the final one if the motion reversed."""
+        """Final speed [m/s] of the free motion, extrapolated; negative if friction stops it in finite time.
+
+        If the motion reversed, the last speed of the simulation.
+        """
         return np.where(self.turned, np.abs(self.end_speed), self.drift)
 
     @property
     def wanders(self) -> np.ndarray:
-        """Whether it keeps moving at up to two encoder steps per period, driven by the encoder and not by friction."""
+        """Whether quantisation, not friction, keeps it moving at up to two encoder steps per period."""
         slow = (np.abs(self.tends_to) <= 2.0 * self.step) & (self.expected <= self.threshold)
         return ~self.at_rest & (self.tends_to > self.threshold) & slow & ~self.integrates
 

@@ -1,7 +1,7 @@
-"""Contact with a wall under an impedance law: rest or bouncing, and the stiffest wall with which the axis is stable.
+"""Contact with a wall under an impedance law: rest or bouncing, and the stiffest wall with a stable contact.
 
 The poles of the loop in contact give one limit. Below it the Coulomb compensation, a relay, can sustain an oscillation,
-as can the encoder and a mismatch: the describing function predicts it, and a simulation of the whole axis pressed
+and so can the encoder and a mismatch. The describing function predicts it; a simulation of the whole axis pressed
 against the wall decides.
 """
 
@@ -22,25 +22,25 @@ from emps_design.errors import InputError, SimulationError
 from emps_design.simulation.environment import Hand, Wall
 from emps_design.simulation.plant import Plant
 
-PUSHED = 0.75  # share of the time during which the push lasts; then the hand lets go
-CALM = 0.8  # a swing that shrinks to this share of itself within a second calms down
+PUSHED = 0.75  # share of the time in which the hand pushes before it releases the carriage
+CALM = 0.8  # an oscillation that decays to this share within a second is calming
 
-LOWEST = 1.0 / 16.0  # of the linear limit, softest wall that is tried
-STEP, HALVINGS = math.sqrt(2.0), 3  # of the stiffnesses tried, and how often the last step is halved
-# Share of the push, and speed of arrival over what the push makes itself.
+LOWEST = 1.0 / 16.0  # softest simulated wall, relative to the linear limit
+STEP, HALVINGS = math.sqrt(2.0), 3  # ratio of the simulated stiffnesses, and number of bisections of the last step
+# Factor on the push, and speed of arrival relative to that of the push.
 PUSHES = ((0.5, 3.0), (0.5, 0.0), (1.0, 0.0), (1.0, 1.0), (2.0, 0.0))
-# A swing that keeps the second share of itself from one sixth of the run to the next does not come to rest, nor does
-# one that keeps the first and decays more slowly than the poles do.
+# An oscillation does not come to rest if from one sixth of the run to the next it keeps the share STAYS, or the share
+# KEPT while it decays more slowly than the poles by the factor SLOWER.
 KEPT, STAYS, SLOWER = 0.3, 0.9, 1.2
 MOST = 100_000  # samples of a run
 
 
 @dataclass(frozen=True)
 class WallContact:
-    """A push of ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], let go at ``release`` [s].
+    """A push of ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], with a ``release`` [s].
 
-    ``t`` [s], ``q`` [m], ``v`` [m/s], ``push`` [N], ``wall_force`` [N] (negative): arrays (n,),
-    empty if the simulation stopped because the loop is unstable; ``reason`` says so.
+    ``t`` [s], ``q`` [m], ``v`` [m/s], ``push`` [N] and ``wall_force`` [N] (negative) are arrays (n,). If the simulation
+    stopped because the loop is unstable, they are empty and ``reason`` says so.
     """
 
     force: float
@@ -66,7 +66,7 @@ class WallContact:
 
     @property
     def swings(self) -> tuple[float, float] | None:
-        """Peak to peak of the position [m] in the last second but one of the push, and in the last."""
+        """Peak-to-peak position [m] in the second to last and in the last second of the push; None without contact."""
         if not self.touched:
             return None
         before, last = (
@@ -107,11 +107,11 @@ def push_into_wall(
     position: float = 0.02,
     duration: float = 12.0,
 ) -> WallContact:
-    """Push the carriage with ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], then let go.
+    """Push the carriage with ``force`` [N] into a wall of ``stiffness`` [N/m] at ``position`` [m], then release it.
 
-    The push lasts three quarters of ``duration`` [s]. The axis is simulated with all its effects. Where the poles of
-    the loop in contact (``sampled_loop`` with an ``Environment``) are unstable, it bounces for ever. Raises
-    :class:`InputError` for a push or a distance that is not above 0.
+    The push lasts three quarters of ``duration`` [s]. The axis is simulated with all its effects. If the poles of the
+    loop in contact (``sampled_loop`` with an ``Environment``) are unstable, it keeps bouncing. Raises
+    :class:`InputError` unless push and distance are above 0.
 
     >>> from emps_design.control.impedance.law import impedance_law
     >>> from emps_design.machines import machine
@@ -144,9 +144,12 @@ def push_into_wall(
 class WallLimit:
     """Largest stiffness [N/m] of an undamped wall: by the poles, predicted, and simulated with pushes up to 2 ``push``.
 
-    ``linear``: the poles of every corner of the mismatch are stable up to there; ``predicted``: the describing function
-    has no oscillation; ``simulated``: the axis pressed against the wall comes to rest, and so it does after a push into
-    it. 0: not even against a wall of 1/16 of the linear limit. ``errors`` are those of the corner that was simulated.
+    - ``linear``: the poles of every corner of the mismatch are stable up to this stiffness.
+    - ``predicted``: the describing function predicts no oscillation.
+    - ``simulated``: the axis comes to rest when pressed against the wall, and after a push into it. 0: not even against
+      a wall of 1/16 of the linear limit.
+
+    ``errors`` are those of the simulated corner.
     """
 
     linear: float
@@ -161,10 +164,10 @@ class WallLimit:
 
 
 def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimit | None:
-    """Find the stiffest wall with which ``law`` on ``axis`` is stable, with estimates off by up to ``mismatch``.
+    """Find the stiffest wall with a stable contact under ``law``, for errors of the estimates up to ``mismatch``.
 
-    None where the poles allow every wall up to 1 GN/m. The corner that is simulated is the one at which the describing
-    function has the largest oscillation against half the linear limit.
+    None if the poles are stable for every wall up to 1 GN/m. The simulated corner is the one with the largest predicted
+    oscillation against a wall of half the linear limit.
 
     >>> from emps_design.control.impedance.law import impedance_law
     >>> from emps_design.machines import machine
@@ -198,7 +201,7 @@ def wall_limit(axis: Axis, law: ImpedanceLaw, mismatch: float = 0.0) -> WallLimi
 
 
 def _simulated_limit(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
-    """Largest stiffness [N/m] at which the axis rests against the wall and comes to rest after a push into it."""
+    """Largest stiffness [N/m] with rest both when pressed against the wall and after a push into it."""
     low = _resting_limit(axis, law, grid, push)
     duration = max(12.0, 24.0 * law.mass / law.damping if law.damping > 0.0 else 0.0)
     duration = min(duration, MOST * axis.sampling.period)
@@ -208,7 +211,7 @@ def _simulated_limit(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: floa
 
 
 def _resting_limit(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float) -> float:
-    """Largest stiffness [N/m] up to which the axis pressed against the wall comes to rest; 0: not at the softest."""
+    """Largest stiffness [N/m] at which the axis pressed against the wall comes to rest; 0 if not at the softest."""
     low = 0.0
     for wall in grid:
         if cycles(axis, law, wall, push):
@@ -226,7 +229,7 @@ def _resting_limit(axis: Axis, law: ImpedanceLaw, grid: np.ndarray, push: float)
 
 
 def cycles(axis: Axis, law: ImpedanceLaw, stiffness: float, push: float) -> bool:
-    """Whether the carriage, pressed against a wall of ``stiffness`` [N/m] with about ``push`` [N], swings for ever."""
+    """Whether the carriage keeps oscillating when pressed against a wall of ``stiffness`` [N/m] with ``push`` [N]."""
     period, resolution = axis.sampling.period, axis.sampling.encoder_resolution
     speed = math.sqrt(stiffness * law.mass)
     decay = law.mass / law.damping if law.damping > 0.0 else 0.0
@@ -234,7 +237,7 @@ def cycles(axis: Axis, law: ImpedanceLaw, stiffness: float, push: float) -> bool
     plant, compiled, sixth = Plant.of(axis).touched_by(Hand(stiffness=stiffness)), law_for(axis, law, period), n // 6
     friction, clock, wall = FrictionModel.of(axis), Clock.of(axis), Environment(stiffness=stiffness)
     radius = max(sampled_loop(law, friction, clock, direction, wall).radius for direction in friction.directions)
-    kept = min(STAYS, max(KEPT, SLOWER * radius**sixth))
+    largest_ratio = min(STAYS, max(KEPT, SLOWER * radius**sixth))
     for direction, (share, arrival) in product(friction.directions, PUSHES):
         force = np.full(n, direction * share * push)
         try:
@@ -242,6 +245,6 @@ def cycles(axis: Axis, law: ImpedanceLaw, stiffness: float, push: float) -> bool
         except SimulationError:
             return True
         before, last = np.ptp(q[-2 * sixth : -sixth]), np.ptp(q[-sixth:])
-        if last > max(kept * before, 4.0 * resolution, 1e-4 * push / stiffness):
+        if last > max(largest_ratio * before, 4.0 * resolution, 1e-4 * push / stiffness):
             return True
     return False

@@ -1,7 +1,7 @@
-"""The commands: for each one its request, and the function that answers it, for command line, studio, page and Python.
+"""The commands. Each is one module with a request, a frozen dataclass, and ``answer``, a function of the request.
 
-A module per command has its request, a frozen dataclass, and ``answer``, which decides everything: numbers, verdict,
-reason, warnings. :mod:`emps_design.cli` makes the options of the command line from the request and renders the answer.
+``answer`` computes the numbers, the verdict, the reason and the warnings. :mod:`emps_design.cli` makes the options of
+the command line from the request and prints the answer.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ DO_NOT_RUN = 4  # exit status of a design with a reason not to run it
 
 @dataclass(frozen=True)
 class Reply:
-    """What a command answers.
+    """The answer to a request.
 
-    ``document`` is the JSON, ``view`` what is printed instead, in ``units``. ``reason`` says why a design must not run.
-    ``warnings`` go to standard error; those that the view prints are in the document alone. ``write`` gets the
-    JSON text with the advice, writes the files of an answer that hold it, and may return their folder. ``error`` is
-    raised after the answer is printed: a file that it cannot make, for example. ``then`` runs after the answer is
-    printed, until the user interrupts it.
+    - ``document``: the JSON; ``view``: what is printed without ``--json``, in ``units``.
+    - ``reason``: why a design must not run, "" if it may.
+    - ``warnings``: printed on standard error; warnings that are part of the view are in the document only.
+    - ``write``: function of the JSON text with the advice; it writes the output files and may return their folder.
+    - ``error``: raised after the answer is printed, such as for a file that cannot be written.
+    - ``then``: runs after the answer is printed, until the user interrupts it.
     """
 
     document: dict[str, Any]
@@ -39,5 +40,5 @@ class Reply:
 
     @property
     def status(self) -> int:
-        """Exit status of the command."""
+        """Exit status of the command: 0, or 4 with a reason not to run the design."""
         return DO_NOT_RUN if self.reason else 0

@@ -1,4 +1,4 @@
-"""Feed-forward of what the model knows, tried on the nonlinear machine with wrong parameters."""
+"""Design a feed-forward from the model, and test it on the nonlinear machine with wrong parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SCENARIOS = {
 
 
 def read_positions(path: str | Path, axis: Axis) -> Any:
-    """The reference (n,) in the file at ``path``, in the clock of ``axis``."""
+    """The reference (n,) in the file at ``path``, sampled with the period of ``axis``."""
     from emps_design.simulation.synthetic import read_reference
 
     return read_reference(Path(path), axis.sampling.period, axis.units)[0]
@@ -39,30 +39,30 @@ def read_positions(path: str | Path, axis: Axis) -> Any:
 
 @dataclass(frozen=True)
 class CompensateRequest(Request):
-    """What ``compensate`` takes: the axis, the motion to try the feed-forward along, and the errors of the model."""
+    """Options of ``compensate``: the axis, the reference motion, and the errors of the model."""
 
     axis: Axis = axis_argument("emps2019")
-    scenario: str = option("", "what the axis follows [laps, or the reference]", choices=("", *SCENARIOS))
+    scenario: str = option("", "motion of the axis [default: laps, or the reference]", choices=("", *SCENARIOS))
     reference: Any = option(
         None, "reference to follow: columns t, q_ref (.csv, .npz)", typed=Path | None, read=read_positions
     )
-    stroke: float = option(0.24, "of laps and multi-sine [m]")
-    speed: float = option(0.2, "highest of laps and half-ramp [m/s]")
-    acceleration: float = option(1.0, "of laps [m/s^2]")
+    stroke: float = option(0.24, "stroke of laps and multi-sine [m]")
+    speed: float = option(0.2, "largest speed of laps and half-ramp [m/s]")
+    acceleration: float = option(1.0, "acceleration of laps [m/s^2]")
     mismatch: float = option(0.02, "relative error of the parameters")
     phase: float = option(10.0, "error of a phase [deg]")
     out: Path | None = option(None, "folder for the axis with its compensation", metavar="DIR", writes=FILES)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        unread = {name for options in SCENARIOS.values() for name in options} - {*SCENARIOS[self.motion]}
-        self.refuse(sorted(unread), f"goes with another scenario than {self.motion}")
+        unused = {name for options in SCENARIOS.values() for name in options} - {*SCENARIOS[self.motion]}
+        self.refuse(sorted(unused), f"not used by the {self.motion} scenario")
         if self.motion == "reference" and self.reference is None:
             raise InputError("`scenario='reference'`: found no reference, expected `reference` FILE")
 
     @property
     def motion(self) -> str:
-        """The scenario of the request: the reference if there is one, else laps."""
+        """The scenario: by default ``reference`` if the request has one, else ``laps``."""
         return self.scenario or ("laps" if self.reference is None else "reference")
 
     @property
@@ -81,7 +81,7 @@ class CompensateRequest(Request):
 
 
 def answer(request: CompensateRequest) -> Reply:
-    """The feed-forward that lowers the tracking error, term by term, and what wrong parameters make of it."""
+    """The feed-forward, term by term, with the tracking error for exact and for wrong parameters."""
     from emps_design.compensation import compensate
 
     compensation = compensate(request.axis, request.positions, request.mismatch, request.phase)

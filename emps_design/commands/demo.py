@@ -1,4 +1,4 @@
-"""The main job on the embedded machine, no file needed: simulate a record, identify, gains, force loop, report."""
+"""Run the whole workflow on the embedded machine: simulated record, identification, gains, force loop, report."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ CROSSOVER, PHASE_MARGIN = 100.0, 60.0  # rad/s, deg
 
 @dataclass(frozen=True)
 class DemoRequest(Request):
-    """What ``demo`` takes: where the page goes, and the seed of the record."""
+    """Options of ``demo``: the file of the page, and the seed of the record."""
 
-    out: Path = option(Path("emps-design-demo.html"), "HTML report; the record goes beside it")
+    out: Path = option(Path("emps-design-demo.html"), "HTML report; the record is written next to it")
     seed: int = option(0, "seed of the noise in the record", limits=(0, None))
     overwrites: ClassVar[bool] = True
 
     @property
     def record(self) -> Path:
-        """Where the record goes."""
+        """The file of the record."""
         return self.out.with_suffix(".npz")
 
     def check_files(self) -> None:
-        """Refuse a page and a record of one name, and files that hold something else."""
+        """Raise :class:`InputError` if page and record have the same name, or if other content would be lost."""
         check_out(self.out, PAGE, (), self.overwrite, "`out`")
         if self.out == self.record:
-            raise InputError(f"`out`: found {self.out.name!r}, expected a name for a page; the record takes that one")
+            raise InputError(f"`out`: found {self.out.name!r}, expected the name of a page; the record has that name")
         check_out(self.record, ARCHIVE, (), self.overwrite, "`out`")
 
 
 def answer(request: DemoRequest) -> Reply:
-    """The record, the report on it, and what each step of the work gave."""
+    """The record, the report on it, and the results of each step."""
     from emps_design.machines import machine
     from emps_design.report.assemble import assemble_report, usual_force_loop
     from emps_design.simulation.synthetic import synthetic_record
@@ -66,22 +66,24 @@ def answer(request: DemoRequest) -> Reply:
     files = {"record": str(record), "out": str(out)}
     document = {"machine": MACHINE, "seed": request.seed, "truth": truth, **files, **report.to_dict()}
     view = (
-        Line(f"1. A record of {MACHINE}, simulated: {record}"),
+        Line(f"1. Simulated record of {MACHINE}: {record}"),
         _identified(report, truth),
         *_loops(report, axis),
         Line(""),
-        Line(f"The report, with all figures: {out.resolve()}"),
+        Line(f"Report with all figures: {out.resolve()}"),
     )
     return Reply(document, view, axis.units, warnings=report.warnings)
 
 
 def _identified(report: Report, truth: dict[str, float]) -> Table:
+    """The identified parameters beside the true ones."""
     rows = []
-    for name, found in report.identifications[0].parameters.items():
-        assert found.interval_95 is not None
-        low, high = found.interval_95
-        rows.append((name, f"{truth[name]:.4f}", f"{found.value:.4f}", f"{(high - low) / 2:.4f}", found.quantity.unit))
-    return Table(("parameter", "simulated with", "found", "95 % ±", "unit"), rows, "2. Identified from the record")
+    for name, estimate in report.identifications[0].parameters.items():
+        assert estimate.interval_95 is not None
+        low, high = estimate.interval_95
+        half, unit = (high - low) / 2, estimate.quantity.unit
+        rows.append((name, f"{truth[name]:.4f}", f"{estimate.value:.4f}", f"{half:.4f}", unit))
+    return Table(("parameter", "true value", "estimate", "95 % ±", "unit"), rows, "2. Identified from the record")
 
 
 def _loops(report: Report, axis: Axis) -> View:

@@ -1,4 +1,4 @@
-"""Every equation of the paper step by step, and where the printed ones differ."""
+"""Derive every equation of the paper step by step, and show where the printed ones differ."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from emps_design.request import Request, option
 from emps_design.units import LINEAR
 from emps_design.view import Line
 
-MACHINE, MASS, DAMPING = "emps2018", 50.0, 100.0  # of the paper's experiments, for what (30) as printed costs
+MACHINE, MASS, DAMPING = "emps2018", 50.0, 100.0  # the paper's experiment, to evaluate (30) as printed
 
 
 @dataclass(frozen=True)
 class DeriveRequest(Request):
-    """What ``derive`` takes."""
+    """Options of ``derive``."""
 
     latex: bool = option(False, "a LaTeX document of the derivations", printed=True)
 
 
 def answer(request: DeriveRequest) -> Reply:
-    """The derivations with the errata, and what (30) as printed costs on the paper's axis."""
+    """The derivations with the errata, and the effect of (30) as printed on the paper's axis."""
     from emps_design.paper import errata
 
     if request.latex:
@@ -41,7 +41,7 @@ def answer(request: DeriveRequest) -> Reply:
         "errata": [erratum.to_dict() for erratum in errata.find_errata()],
         "cost_of_printed_30": {"axis": MACHINE, "M_a": MASS, "B": DAMPING, **cost},
         "warnings": [
-            grave("claim-is-false", f"{step.place} {step.title}: {claim}: found false")
+            grave("claim-is-false", f"{step.place} {step.title}: {claim}: this is false")
             for _, steps in parts.values()
             for step in steps
             for claim, true in step.checks
@@ -51,11 +51,11 @@ def answer(request: DeriveRequest) -> Reply:
     costs = [
         Line(
             f"  {name}: apparent mass {felt['apparent_mass']:.1f} kg, damping {felt['apparent_damping']:.1f} N/(m/s), "
-            f"Coulomb friction left {felt['coulomb_left']:.1f} N",
+            f"remaining Coulomb friction {felt['coulomb_left']:.1f} N",
             "prose",
         )
         for name, felt in cost.items()
     ]
-    asked = f"What (30) as printed costs on {MACHINE} with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):"
-    view = (*errata.view(), Line(""), Line(asked), *costs)
+    title = f"Effect of (30) as printed on {MACHINE} with M_a = {MASS:g} kg, B = {DAMPING:g} N/(m/s):"
+    view = (*errata.view(), Line(""), Line(title), *costs)
     return Reply(document, view, LINEAR)

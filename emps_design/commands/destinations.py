@@ -1,4 +1,4 @@
-"""Checks of the files that a command is to write, made before its work: no input is lost, no work is in vain."""
+"""Checks of a command's output files before its work: they must be writable and must not destroy other content."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from emps_design.errors import InputError
 from emps_design.files import destination
 
-HEAD = 65536  # bytes that say what a file holds
-OVERWRITE = "Overwrite a file that holds something else."  # the help of --force
+HEAD = 65536  # bytes read to find the kind of a file
+OVERWRITE = "Overwrite a file with other content."  # the help of --force
 AXIS, PAGE, ARCHIVE, TABLE = "an axis file", "an HTML page", "a NumPy archive", "a text table"
 JSON, MATLAB, ANYTHING = "a JSON document", "a MATLAB file", "something else"
 CODE, CONTROLLER = "code of emps-design", "a table of a controller"
@@ -42,10 +42,10 @@ def check_out(
     force: bool = False,
     option: str = "--out",
 ) -> None:
-    """Raise :class:`InputError` if ``out`` cannot be written, or holds something that must not be overwritten.
+    """Raise :class:`InputError` if ``out`` cannot be written or must not be overwritten.
 
-    That is a file that the command reads (``inputs``; names of embedded machines and None are ignored) and, without
-    ``force``, a file that holds anything but ``kind``.
+    An input of the command must not be overwritten (``inputs``; names of embedded machines and None are ignored), nor,
+    without ``force``, a file of another kind than ``kind``.
     """
     if out is None:
         return
@@ -54,11 +54,11 @@ def check_out(
         return
     for source in inputs:
         if source is not None and os.path.exists(source) and os.path.samefile(source, target):
-            raise InputError(f"{option}: {out} is what this command reads ({source}); choose another name")
+            raise InputError(f"{option}: {out} is an input of this command ({source}); choose another name")
     existing = content(target)
     if existing not in ("", kind) and not force:
         raise InputError(
-            f"{option}: {out} holds {existing}, expected {kind} or no such file; choose another name, or give --force"
+            f"{option}: {out} holds {existing}, expected {kind} or a new file; choose another name, or give --force"
         )
 
 
@@ -95,11 +95,11 @@ def check_folder(
 
 
 def make_folder(out: Path, parents: bool = False) -> None:
-    """Make the folder ``out`` if there is none; with ``parents``, the folders above it as well."""
+    """Create the folder ``out`` unless it exists; with ``parents``, the folders above it as well."""
     try:
         out.mkdir(parents=parents, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{out}: cannot be made, {error.strerror}; expected a folder to write to") from error
+        raise InputError(f"{out}: cannot be created, {error.strerror}; expected a folder to write to") from error
 
 
 def content(path: Path) -> str:

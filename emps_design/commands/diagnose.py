@@ -1,4 +1,4 @@
-"""Where simulation and data disagree, which physical effect is missing, and the model with it."""
+"""Show where simulation and data disagree, find the missing physical effect, and add it to the model."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PARTIAL = "emps-design/partial-diagnosis/1"  # schema of what an interrupted dia
 
 @dataclass(frozen=True)
 class DiagnoseRequest(DiagnosisRequest):
-    """What ``diagnose`` takes: that of the function, and the folder for its files."""
+    """Options of ``diagnose``: those of the function, and the folder for its files."""
 
     axis: Axis = axis_option("axis file or embedded machine")
     out: Path | None = option(None, "folder for model, report, prediction", metavar="DIR", writes=FILES)
@@ -51,31 +51,31 @@ class DiagnoseRequest(DiagnosisRequest):
 
 
 def check_same_records(out: Path, hashes: set[str]) -> None:
-    """Refuse to replace a diagnosis in ``out`` that was made of other records than those with ``hashes``."""
+    """Raise :class:`InputError` if ``out`` has a diagnosis of records other than those with the ``hashes``."""
     path = out / "diagnosis.json"
     if not path.is_file() or not path.stat().st_size:
         return
-    otherwise = "expected one of the same records or none; choose another folder, or give `overwrite`"
+    expected = "expected one of the same records or none; choose another folder, or give `overwrite`"
     try:
         existing = json.loads(path.read_text(encoding="utf-8"))
         trained = {entry["sha256"]: entry["name"] for entry in existing["records"] if entry["role"] == "train"}
     except (ValueError, TypeError, KeyError) as error:
-        raise InputError(f"`out`: {path} is no diagnosis that can be read, {otherwise}") from error
+        raise InputError(f"`out`: {path} is not a readable diagnosis, {expected}") from error
     others = [name for sha256, name in trained.items() if sha256 not in hashes]
     if others:
-        raise InputError(f"`out`: {out} holds the diagnosis of {', '.join(others)}, {otherwise}")
+        raise InputError(f"`out`: {out} holds the diagnosis of {', '.join(others)}, {expected}")
 
 
 def answer(request: DiagnoseRequest) -> Reply:
-    """The diagnosis; an interrupted one leaves the folder as it was and writes what it knew beside it."""
+    """The diagnosis; if interrupted, the folder does not change and the partial result is written next to it."""
     from emps_design.discrepancy import diagnose
 
     if request.out is not None and not request.overwrite:
         check_same_records(request.out, {record.sha256 for record in request.records})
-    known = PartialDiagnosis(request.out)
-    searching = replace(request, progress=known.track(request.progress), searched=known.keep_model)
-    with on_interrupt(known.write):
-        diagnosis = diagnose(searching)
+    partial_result = PartialDiagnosis(request.out)
+    tracked = replace(request, progress=partial_result.track(request.progress), searched=partial_result.keep_model)
+    with on_interrupt(partial_result.write):
+        diagnosis = diagnose(tracked)
     units = request.axis.units
     if request.out is None:
         document = diagnosis.to_dict()
@@ -88,14 +88,14 @@ def answer(request: DiagnoseRequest) -> Reply:
 
 
 def _written(document: dict[str, Any], out: Path) -> list[Line]:
-    """The files in the folder ``out``, and how to try the experiment."""
+    """The files in the folder ``out``, and the command that simulates the experiment."""
     reference = (document["experiment"] or {}).get("file")
     closest = (document.get("closest") or {}).get("model_file")
     files = ("model.toml", "diagnosis.json", "holdout_prediction.csv", reference, closest)
     lines = [Line(f"Written: {out}/report.html, {', '.join(filter(None, files))}", "code")]
     if reference:
-        try_it = f"emps-design simulate {out}/model.toml --reference {out}/{reference}"
-        lines.append(Line(f"Try the experiment first: {try_it}", "code"))
+        command = f"emps-design simulate {out}/model.toml --reference {out}/{reference}"
+        lines.append(Line(f"Simulate the experiment first: {command}", "code"))
     return lines
 
 
@@ -110,8 +110,8 @@ def _write(diagnosis: Diagnosis, out: Path, axis_name: str, document: str) -> No
     reference = None if experiment is None else experiment.q_ref
     closest = None if diagnosis.closest is None else diagnosis.closest.axis
     with write_together(out) as aside:
-        whose = f"numbers that belong to one record (phases, times) are those of {trace.name}"
-        head = f"# {axis_name}, extended by emps-design diagnose; {whose}\n"
+        per_record = f"values that belong to one record (phases, times) are those of {trace.name}"
+        head = f"# {axis_name}, extended by emps-design diagnose; {per_record}\n"
         write_text(aside / "model.toml", head + diagnosis.axis.to_toml())
         write_text(aside / "diagnosis.json", document)
         columns = (trace.t, trace.measured, trace.baseline, trace.extended)
@@ -119,11 +119,11 @@ def _write(diagnosis: Diagnosis, out: Path, axis_name: str, document: str) -> No
         if experiment is not None and reference is not None:
             _table(aside / FILE, ("t", "q_ref"), (experiment.t, reference))
         if closest is not None:
-            describes = f"# {axis_name}, described by emps-design diagnose as closely as it could; {whose}\n"
-            write_text(aside / CLOSEST_FILE, describes + closest.to_toml())
+            head = f"# {axis_name}, the closest description that emps-design diagnose found; {per_record}\n"
+            write_text(aside / CLOSEST_FILE, head + closest.to_toml())
         write_text(aside / "report.html", diagnosis_page(diagnosis).html())
     if reference is None:
-        (out / FILE).unlink(missing_ok=True)  # of a diagnosis before this one
+        (out / FILE).unlink(missing_ok=True)  # the file of an earlier diagnosis
     if closest is None:
         (out / CLOSEST_FILE).unlink(missing_ok=True)
 
@@ -147,7 +147,7 @@ class PartialDiagnosis:
     def track(self, progress: Progress) -> Progress:
         """Return a progress callback that updates ``progress`` and this state, and raises after an interrupt.
 
-        Without the raise the search would swallow the interrupt and conclude from what it has.
+        Otherwise the search would ignore the interrupt and conclude from its present state.
         """
 
         def report(stage: str, share: float) -> None:
@@ -158,12 +158,12 @@ class PartialDiagnosis:
         return report
 
     def keep_model(self, axis: Axis) -> None:
-        """Keep the model that the search ended with."""
+        """Store the model at the end of the search."""
         self.axis = axis
         self._stop()
 
     def write(self) -> str:
-        """Write the state and return a sentence that names the folder, "" without one."""
+        """Write the state and return a sentence with the folder, "" if there is none."""
         if self.folder is None:
             return ""
         document = {
@@ -173,18 +173,18 @@ class PartialDiagnosis:
             "share": self.share,
             "effects": [] if self.axis is None else [effect.kind for effect in self.axis.effects],
             "model_file": None if self.axis is None else "model.toml",
-            "text": "The diagnosis was interrupted here; nothing of this was confirmed, and more may be missing.",
+            "text": "The diagnosis was interrupted at this stage; nothing was confirmed, and more may be missing.",
         }
         try:
             self.folder.mkdir(exist_ok=True)
             with write_together(self.folder) as aside:
                 write_text(aside / "partial.json", f"{json.dumps(document, indent=1)}\n")
                 if self.axis is not None:
-                    head = f"# from a diagnosis that was interrupted: {self.stage}\n"
+                    head = f"# from an interrupted diagnosis: {self.stage}\n"
                     write_text(aside / "model.toml", head + self.axis.to_toml())
         except (EmpsError, OSError) as error:
-            return f"what was known by then could not be written: {error}"
-        return f"what was known by then is in {self.folder}"
+            return f"the partial result could not be written: {error}"
+        return f"the partial result is in {self.folder}"
 
     def _stop(self) -> None:
         if interrupted.is_set():

@@ -1,4 +1,4 @@
-"""The experiment that measures a frequency response on a running carriage, within its limits: multi-sine or stepped."""
+"""Design the experiment that measures a frequency response on a moving carriage: multi-sine or stepped sine."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from emps_design.view import Line
 
 @dataclass(frozen=True)
 class StrokeRequest(Request):
-    """How far a carriage may travel."""
+    """The available travel."""
 
-    stroke: float = option(..., "travel that may be used [m]")
+    stroke: float = option(..., "available travel [m]")
 
 
 @dataclass(frozen=True)
 class ExciteRequest(ExcitationRequest, StrokeRequest):
-    """What ``excite`` takes: the axis with its controller, the limits and the excitation."""
+    """Options of ``excite``: the axis with its controller, the limits and the excitation."""
 
     axis: Axis = axis_argument("emps2019", "TOML file or embedded machine, with its controller")
     speed_limit: float | None = option(None, "largest speed [m/s]")
-    force_limit: float | None = option(None, "largest force [N]; the command's own limit")
+    force_limit: float | None = option(None, "largest force [N]; default: at the command limit")
     jerk_limit: float | None = option(None, "largest jerk of the excitation [m/s^3]")
     out: Path | None = option(None, "write reference and excitation to this .csv file", writes=TABLE)
 
 
 def answer(request: ExciteRequest) -> Reply:
-    """The experiment, written where the request says so."""
+    """The experiment, written to the output file of the request, if any."""
     from emps_design.frequency_response import Limits, design_experiment
 
     limits = Limits(request.stroke, request.speed_limit, request.force_limit, request.jerk_limit)

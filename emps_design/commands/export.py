@@ -1,4 +1,4 @@
-"""The controller as code: C99, Structured Text, units of FMI 3.0 or JSON, with the vectors that prove it."""
+"""Write the controller as C99, Structured Text, FMI 3.0 units or JSON, with test vectors."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ KINDS = {".toml": AXIS, ".csv": TABLE, ".json": JSON, ".fmu": ARCHIVE}  # any ot
 
 @dataclass(frozen=True)
 class ExportRequest(Request):
-    """What ``export`` takes: the axis, the target, the folder, and what is exported beside or in place of the law."""
+    """Options of ``export``: the axis, the target, the folder, and a feed-forward or an observer to export."""
 
     axis: Axis = axis_argument(...)
     target: str = option(..., "c, st, fmu or json", flags=("--to",))
-    out: Path = option(..., "folder for the code, made where there is none", metavar="DIR")
+    out: Path = option(..., "folder for the code, created if missing", metavar="DIR")
     compensation: Path | None = option(
-        None, "compensation.json of 'compensate --out': fed forward beside it", metavar="FILE"
+        None, "compensation.json of 'compensate --out': adds its feed-forward", metavar="FILE"
     )
     observer: float | None = option(
-        None, "the on-line force observer with this low-pass [Hz], in place of the controller", **HERTZ
+        None, "export the on-line force observer with this low-pass [Hz] instead of the controller", **HERTZ
     )
     overwrites: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.observer is not None:
-            self.refuse(["compensation"], "goes without `observer`")
+            self.refuse(["compensation"], "cannot be combined with `observer`")
 
     def check_folder(self, kinds: dict[str, str]) -> None:
-        """Refuse a folder that cannot be made, or that holds other files than ``kinds``, by their names."""
+        """Raise :class:`InputError` if the folder cannot be created or a file of it is not of its kind in ``kinds``."""
         check_folder(self.out, kinds, (self.sources.get("axis"), self.compensation), self.overwrite)
 
 
 def answer(request: ExportRequest) -> Reply:
-    """The files of the target, written into the folder, and what is in them."""
+    """The files of the target, written into the folder, and a summary of their content."""
     request.check_folder({})
     exported = _exported(request)
     request.check_folder({name: KINDS.get(Path(name).suffix, CODE) for name in exported.files})

@@ -1,4 +1,4 @@
-"""The force loop around the velocity loop: stability in contact with an operator, margins, largest k_e1."""
+"""Check the force loop around the velocity loop: stability in contact with an operator, margins, largest k_e1."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAPER = 100.0  # rad/s, crossover of the paper's velocity loop
 
 @dataclass(frozen=True)
 class ContactRequest(Request):
-    """A force gain, and the operator in contact."""
+    """The force gain and the operator in contact."""
 
     k_e1: float | None = option(None, "force-loop gain [(m/s)/N]", unit="(m/s)/N")
     hand: float | None = option(None, "viscous hand k_h, tau_e = -k_h qd [N/(m/s)]", unit="N/(m/s)")
@@ -33,7 +33,7 @@ class ContactRequest(Request):
 
 @dataclass(frozen=True)
 class ForceRequest(VelocityLoopRequest, ContactRequest):
-    """What ``force`` takes: the contact, and the velocity loop inside."""
+    """Options of ``force``: the contact and the inner velocity loop."""
 
     @property
     def gain(self) -> float:
@@ -55,7 +55,7 @@ def answer(request: ForceRequest) -> Reply:
     if hand is None and request.environment is None:
         hand = 1.0 / k_e1 if k_e1 > 0.0 else 0.0
         damping = units.quantity(hand, "N/(m/s)", "g")
-        text = f"no operator given: taken as a viscous hand of k_c = 1/k_e1 = {damping}"
+        text = f"no operator given: assumed a viscous hand with k_c = 1/k_e1 = {damping}"
         notes.append(note("usual-hand", text, hand=hand))
     loop, origin = _velocity_loop(request)
     notes += origin
@@ -65,8 +65,8 @@ def answer(request: ForceRequest) -> Reply:
     if request.out is not None and (loop.structure != IP or loop.filters):
         raise InputError(
             f"`out`: found a {loop.structure.label} velocity loop{' with filters' * bool(loop.filters)}, expected IP "
-            "alone: no [controller] has k_e1 around another; make the drive's velocity reference k_e1 times the "
-            f"{units.word('force')}"
+            "without filters: no [controller] has k_e1 around another loop; in the drive, set the velocity reference "
+            f"to k_e1 times the {units.word('force')}"
         )
     document: dict[str, Any] = design.to_dict()
     document["warnings"] += notes
@@ -79,14 +79,14 @@ def answer(request: ForceRequest) -> Reply:
 
 
 def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, list[Message]]:
-    """The velocity loop inside: as specified, of the axis file, or the paper's; and a message if not specified."""
+    """The inner velocity loop: as specified, else of the axis file, else the paper's; a message unless specified."""
     from emps_design.control.velocity.design import VelocityLoopDesign, design_velocity_loop
 
-    machine, structure, crossover = request.machine, request.wanted_structure, request.crossover
+    machine, structure, crossover = request.machine, request.loop_structure, request.crossover
     origin, own = list[Message](), own_gains(machine)
     if crossover is None and request.bandwidth is None:
         if own is not None:
-            why = "goes with `crossover` or `bandwidth`; without them the velocity loop is that of the axis file"
+            why = "requires `crossover` or `bandwidth`; otherwise the velocity loop is that of the axis file"
             request.refuse(["phase_margin_deg", "structure", "reference_filter", "filters"], why)
             structure, filters = own_structure(machine), own_filters(machine)
             loop = VelocityLoopDesign(
@@ -104,6 +104,6 @@ def _velocity_loop(request: ForceRequest) -> tuple[VelocityLoopDesign, list[Mess
         request.phase_margin_deg,
         request.velocity,
         structure,
-        request.wanted_filters,
+        request.loop_filters,
     )
     return loop, origin

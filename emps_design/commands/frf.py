@@ -1,4 +1,4 @@
-"""Frequency response from force to velocity in records, estimated in closed loop, with coherence and deviations."""
+"""Estimate the frequency response from force to velocity from records in closed loop, with coherence and deviations."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from emps_design.frequency_response.signals import INSTRUMENTS
 from emps_design.inputs import axis_option, read_record
 from emps_design.request import HERTZ, Request, option
 
-LONG = 1_000_000  # samples from which on a progress bar is worth it
+LONG = 1_000_000  # samples above which a progress bar is shown
 
 
 @dataclass(frozen=True)
 class FrfRequest(Request):
-    """What ``frf`` takes: the records, the axis they were made on, the method and the band."""
+    """Options of ``frf``: the records, their axis, the method and the band."""
 
     records: tuple[Any, ...] = option(
         ...,
@@ -31,7 +31,7 @@ class FrfRequest(Request):
         typed=list[Path],
         read=read_record,
     )
-    axis: Axis = axis_option("TOML file or embedded machine: its force gain and computation delay are read")
+    axis: Axis = axis_option("TOML file or embedded machine; its force gain and computation delay are used")
     method: str = option(
         "auto",
         "auto, periodic, stepped, local-polynomial or welch",
@@ -40,7 +40,7 @@ class FrfRequest(Request):
     )
     instrument: str = option(
         "",
-        "what moves the axis: excitation (default where recorded), reference, or, in open loop, command",
+        "signal that moves the axis: excitation (default if recorded), reference, or, in open loop, command",
         choices=("", *INSTRUMENTS),
         metavar="SIGNAL",
     )
@@ -49,11 +49,11 @@ class FrfRequest(Request):
     out: Path | None = option(
         None, "write the response to this file: .csv, or .mat for MATLAB", writes={".csv": TABLE, ".mat": MATLAB}
     )
-    plot: Path | None = option(None, "draw it into this file: .png, .svg or .pdf", writes=PICTURES)
+    plot: Path | None = option(None, "plot the response to this file: .png, .svg or .pdf", writes=PICTURES)
 
 
 def answer(request: FrfRequest) -> Reply:
-    """The response with its deviations, written and drawn where the request says so."""
+    """The response with its deviations, written and plotted to the files of the request, if any."""
     records, axis = request.records, request.axis
     progress = request.progress if sum(map(len, records)) >= LONG else None
     estimate = estimate_response(

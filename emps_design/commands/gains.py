@@ -1,4 +1,4 @@
-"""Velocity-loop gains k_v1 and t_v for a crossover or a bandwidth and a phase margin, and what they achieve."""
+"""Compute velocity-loop gains k_v1 and t_v for a crossover or a bandwidth and a phase margin, with their margins."""
 
 from __future__ import annotations
 
@@ -37,41 +37,45 @@ def read_measured(path: str | Path, axis: Any) -> Any:
 
 @dataclass(frozen=True)
 class GainsRequest(LoadRangeRequest, PositionLoopRequest, VelocityLoopRequest):
-    """What ``gains`` takes: a specification, and the machines and loops on which the gains have to hold."""
+    """Options of ``gains``: a specification, and the plants and loops for which the gains must hold."""
 
     retune: bool = option(False, "meet the specification in the sampled loop")
     at: str = option(
         "plant-input", "with --retune: plant-input or velocity-error", choices=("plant-input", "velocity-error")
     )
     mismatch: float | None = option(None, "relative error of the parameters, such as 0.02", unit="")
-    sigma_from: Path | None = option(None, "JSON of 'identify --json': its 95 % intervals")
+    sigma_from: Path | None = option(None, "output of 'identify --json': errors are its 95 % intervals")
     frf: tuple[Any, ...] = option(
         (),
-        "measured response of 'frf', .csv or .mat; again for others: margins on each, retune on one",
+        "measured response of 'frf', .csv or .mat; repeatable: margins on each; --retune takes one",
         typed=list[Path],
         read=read_measured,
     )
     sensitivity_peak_below: float | None = option(
-        None, "with --frf: limit of max|S| below the first antiresonance [ratio, or such as 6dB]", **RATIO
+        None, "with --frf: limit of max|S| below the first antiresonance [ratio, or e.g. 6dB]", **RATIO
     )
-    sensitivity_peak_above: float | None = option(None, "and its limit above [ratio, or such as 6dB]", **RATIO)
-    coulomb: float | None = option(None, "instead of the axis's [N]")
+    sensitivity_peak_above: float | None = option(
+        None, "with --frf: limit of max|S| above the first antiresonance [ratio, or e.g. 6dB]", **RATIO
+    )
+    coulomb: float | None = option(None, "Coulomb friction instead of the axis's [N]")
     voltage_limit: float | None = option(
-        None, "instead of the axis's [V, or the command's unit]", flags=("--voltage-limit", "--command-limit")
+        None,
+        "command limit instead of the axis's [V, or the command's unit]",
+        flags=("--voltage-limit", "--command-limit"),
     )
-    encoder_resolution: float | None = option(None, "instead of the axis's [m]")
+    encoder_resolution: float | None = option(None, "encoder step instead of the axis's [m]")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.retune:
-            self.refuse(["at"], "goes with `retune`")
+            self.refuse(["at"], "requires `retune`")
         if not self.frf:
-            self.refuse(["sensitivity_peak_below", "sensitivity_peak_above"], "goes with `frf`")
+            self.refuse(["sensitivity_peak_below", "sensitivity_peak_above"], "requires `frf`")
         self.check_position_loop()
 
     @property
     def more_numbers(self) -> dict[str, dict[str, Any]]:
-        """Friction, limit and encoder instead of the axis's."""
+        """Coulomb friction, command limit and encoder step, by table of the axis file."""
         limit = "voltage_limit" if self.axis.drive.command == "voltage" else "command_limit"
         return {
             "mechanics": {"coulomb": self.coulomb},
@@ -81,7 +85,7 @@ class GainsRequest(LoadRangeRequest, PositionLoopRequest, VelocityLoopRequest):
 
     @property
     def peaks(self) -> dict[str, float]:
-        """Limits of the peak of sensitivity on measured responses."""
+        """Limits of the sensitivity peaks on measured responses, by name."""
         limits = {name: getattr(self, name) for name in ("sensitivity_peak_below", "sensitivity_peak_above")}
         return {name: limit for name, limit in limits.items() if limit is not None}
 
@@ -93,13 +97,13 @@ class GainsRequest(LoadRangeRequest, PositionLoopRequest, VelocityLoopRequest):
             "bandwidth": self.bandwidth,
             "phase_margin_deg": self.phase_margin_deg,
             "velocity": self.velocity,
-            "structure": self.wanted_structure,
-            "filters": self.wanted_filters,
+            "structure": self.loop_structure,
+            "filters": self.loop_filters,
         }
 
 
 def answer(request: GainsRequest) -> Reply:
-    """The gains, their margins in every loop, and the verdict over all loops and machines of the request."""
+    """The gains, their margins in every loop, and the verdict over all loops and plants of the request."""
     from emps_design.control.verdict import DesignVerdict, gains_document
 
     errors = _errors(request)
@@ -114,7 +118,7 @@ def answer(request: GainsRequest) -> Reply:
         document["measured"] = measured.document
         document["warnings"] += measured.warnings
         if request.sensitivity_peak_above is not None and not any(m.antiresonance for m in measured.velocity):
-            text = "`sensitivity_peak_above`: the data have no antiresonance; all lies below"
+            text = "`sensitivity_peak_above` has no effect: the data have no antiresonance"
             document["warnings"].append(note("no-antiresonance", text))
     if verdict.stable and request.out is not None:
         table = design.controller_table() if around is None else around.controller_table()
@@ -144,8 +148,8 @@ def _retuned(request: GainsRequest) -> VelocityLoopDesign:
     if len(request.frf) > 1:
         raise InputError(f"`frf`: found {len(request.frf)} responses to retune on, expected one")
     if request.crossover is None:
-        raise InputError("`retune` with `frf`: found a bandwidth, expected `crossover`: the data have no -3 dB of T_vc")
-    wanted = request.specification
+        raise InputError("`retune` with `frf`: found a bandwidth, expected `crossover`: the data do not give T_vc")
+    specification = request.specification
     return retune_on_response(
         request.frf[0],
         request.machine,
@@ -153,29 +157,29 @@ def _retuned(request: GainsRequest) -> VelocityLoopDesign:
         request.phase_margin_deg,
         request.at,
         request.velocity,
-        wanted["structure"],
-        wanted["filters"],
+        specification["structure"],
+        specification["filters"],
         request.peaks,
     )
 
 
 def _suggestion(request: GainsRequest, design: VelocityLoopDesign) -> dict[str, Any]:
-    """The filter that makes the loop fastest, and what these gains leave on the table."""
+    """The filter that makes the loop fastest, and how far these gains are from the fastest ones."""
     margin = request.phase_margin_deg
-    wanted = (request.machine, margin, design.structure, design.filters, request.velocity)
+    loop = (request.machine, margin, design.structure, design.filters, request.velocity)
     if request.frf:
         from emps_design.frequency_response.loop import suggest_filter_on_response
 
-        return suggest_filter_on_response(request.frf[0], *wanted)
+        return suggest_filter_on_response(request.frf[0], *loop)
     from emps_design.control.velocity.limits import faster_in_words, suggest_filter
 
-    suggestion = suggest_filter(*wanted)
+    suggestion = suggest_filter(*loop)
     fastest = suggestion["without"]["crossover"]
     return {**suggestion, "these_gains": faster_in_words(design.sampled, margin, fastest) or None}
 
 
 class _Measured:
-    """Margins of a design on measured plants: of the velocity loop, and of the whole if there is a position loop."""
+    """Margins of a design on measured plants: of the velocity loop, and of the whole loop if a position loop exists."""
 
     def __init__(
         self,
@@ -202,19 +206,19 @@ class _Measured:
 
 
 def _errors(request: GainsRequest) -> dict[str, float] | None:
-    """The relative errors to study: ``mismatch`` for every parameter, or the intervals of an identification."""
+    """The relative errors to study, by parameter: ``mismatch`` for all, or the intervals of an identification."""
     mismatch, sigma_from = request.mismatch, request.sigma_from
     if mismatch is None and sigma_from is None:
         return None
     from emps_design.control.velocity.load_range import identified_mismatch, relative_mismatch
 
     if mismatch is not None and sigma_from is not None:
-        raise InputError("found both `mismatch` and `sigma_from`, expected one of them")
+        raise InputError("found both `mismatch` and `sigma_from`, expected only one of them")
     if mismatch is not None:
         return relative_mismatch(mismatch)
     assert sigma_from is not None
-    document = read_json(sigma_from, MAX_BYTES, "expected what 'identify --json' prints")
+    document = read_json(sigma_from, MAX_BYTES, "expected the output of 'identify --json'")
     parameters = document.get("parameters") if isinstance(document, dict) else None
     if not isinstance(parameters, dict) or not all(isinstance(entry, dict) for entry in parameters.values()):
-        raise InputError(f"{sigma_from}: no 'parameters' table, expected what 'identify --json' prints")
+        raise InputError(f"{sigma_from}: no 'parameters' table, expected the output of 'identify --json'")
     return identified_mismatch(request.machine, parameters)

@@ -33,13 +33,13 @@ class _Records(Request):
         read=read_record,
     )
     axis: Axis = axis_option(
-        "TOML file or embedded machine: G_tau, limits, controller, and effects that are known already"
+        "TOML file or embedded machine: G_tau, limits, controller, and effects that are already known"
     )
 
 
 @dataclass(frozen=True)
 class IdentifyRequest(IdentificationRequest, _Records):
-    """What ``identify`` takes: records of an axis, how to identify it from them, and a file for the result."""
+    """Options of ``identify``: records of an axis, the method, and a file for the result."""
 
     holdout: Record | None = option(None, HOLDOUT, typed=Path | None, read=read_record)
     out: Path | None = option(None, "write the identified axis to this TOML file", writes=AXIS)
@@ -51,11 +51,13 @@ class IdentifyRequest(IdentificationRequest, _Records):
             return
         if self.estimator not in (AUTO, BY_LEAST_SQUARES):
             raise InputError(f"`estimator`: {self.estimator} takes one record, found {count}; use ls for several")
-        self.refuse(["bootstrap", "holdout"], f"goes with one record, found {count}; several judge one another")
+        self.refuse(
+            ["bootstrap", "holdout"], f"requires a single record, found {count}; several records are cross-validated"
+        )
 
     @property
-    def how(self) -> IdentificationRequest:
-        """The options of :func:`.identify` alone."""
+    def method(self) -> IdentificationRequest:
+        """The options of the method, for :func:`.identify`."""
         options: dict[str, Any] = {entry.name: getattr(self, entry.name) for entry in options_of(IdentificationRequest)}
         return IdentificationRequest(**options, progress=self.progress)
 
@@ -66,8 +68,8 @@ def answer(request: IdentifyRequest) -> Reply:
     if request.out is not None:
         try:
             write_axis(request.out, identification.to_axis(name=one_line(request.out.stem)))
-        except EmpsError as refused:  # the parameters are shown even if they make no valid axis
-            error = refused
+        except EmpsError as invalid:  # the parameters are shown even if they make no valid axis
+            error = invalid
     return Reply(
         identification.to_dict(),
         identification.view(),
@@ -78,10 +80,10 @@ def answer(request: IdentifyRequest) -> Reply:
 
 
 def _identified(request: IdentifyRequest) -> Identification | SeveralIdentifications:
-    """From one record, from several each, or from several together where they go one way each."""
+    """One record; several separately; or several together if one of them moves in one direction only."""
     records, axis = request.records, request.axis
     if len(records) == 1:
-        return identify(records[0], axis, request.how)
+        return identify(records[0], axis, request.method)
     if any(map(goes_one_way, records)):
-        return identify_together(records, axis, request.how)
-    return identify_several(records, axis, request.how)
+        return identify_together(records, axis, request.method)
+    return identify_several(records, axis, request.method)

@@ -1,4 +1,4 @@
-"""Read a drive's export as the [record] table of an axis says, and say what was taken for what."""
+"""Read a drive's export by the [record] table of an axis, and show what each column stands for."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def read_window(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class ImportRequest(Request):
-    """What ``import`` takes: what the drive wrote, the axis that says how to read it, and where it goes."""
+    """Options of ``import``: the drive's export, the axis with the [record] table, and the output files."""
 
-    file: Path = option(..., "what the drive wrote: .csv, .txt, .tsv, .npz or .mat", argument=True, metavar="FILE")
-    axis: Axis = axis_option("TOML file with a [record] table, or embedded machine; without one titles are read")
+    file: Path = option(..., "the drive's export: .csv, .txt, .tsv, .npz or .mat", argument=True, metavar="FILE")
+    axis: Axis = axis_option("TOML file or embedded machine; without a [record] table the column titles decide")
     out: Path | None = option(
         None, "write the record, in SI units: .npz or .csv", writes={".npz": ARCHIVE, ".csv": TABLE}
     )
     plot: Path | None = option(
-        None, "draw it into this file: .png, .svg, .pdf or .html", writes={**PICTURES, ".html": PAGE}
+        None, "plot the record to this file: .png, .svg, .pdf or .html", writes={**PICTURES, ".html": PAGE}
     )
     window: tuple[float, float] | None = option(
         None,
-        "only from A to B [s] of the file's time",
+        "only the part from A to B [s], in the file's time",
         flags=("--time",),
         metavar="A:B",
         typed=str | None,
@@ -58,7 +58,7 @@ class ImportRequest(Request):
 
 
 def answer(request: ImportRequest) -> Reply:
-    """The account of the import, with the record written and drawn where the request says so."""
+    """The account of the import; the record is written and plotted to the files of the request, if any."""
     from emps_design.importing import import_record
     from emps_design.importing.account import Account
 

@@ -1,4 +1,4 @@
-"""A folder to start from: a commented axis file, synthetic records, and what to do with them."""
+"""Make a folder to start from: a commented axis file, synthetic records, and a guide to the next commands."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from emps_design.identification.controller import LawEstimate
     from emps_design.importing.account import Trace
 
-# `puzzle.npz` has a ripple that `axis.toml` lacks: its force [N] on an axis like emps2019, its period [m or rad].
+# Ripple in `puzzle.npz` that `axis.toml` lacks: force [N] for an axis of the size of emps2019, and period [m or rad].
 AMPLITUDE, PERIOD = 2.0, {"linear": 0.0025, "rotary": 2.0 * math.pi / 500}
 
 STARTER = """# Start here
 
-`axis.toml` describes the machine and its controller; every key says what it is, in SI units. `record.npz` and
-`record.csv` are one simulated run of it (columns t [s], q_ref [m], q [m], u [V]). Put your numbers into the axis file,
-your measurement in the place of the record, and ask:
+`axis.toml` describes the machine and its controller; a comment explains each key, in SI units. `record.npz` and
+`record.csv` hold the same simulated run (columns t [s], q_ref [m], q [m], u [V]). Enter your numbers in the axis file,
+replace the record by your measurement, and run:
 
     emps-design identify record.npz --axis axis.toml          the parameters, with standard deviations
     emps-design gains axis.toml --crossover 100 --phase-margin 60   velocity-loop gains and margins
     emps-design report axis.toml --record record.npz --crossover 100 --out report.html
     emps-design diagnose puzzle.npz --axis axis.toml --out found    where simulation and data disagree, and why
 
-`puzzle.npz` is a run of the same machine with something in it that `axis.toml` does not know of.
+`puzzle.npz` is a run of the same machine with an effect that `axis.toml` lacks.
 
-A .csv may use ; , or tab, a decimal comma, and titles with a unit such as `q [mm]`. Every command explains itself with
-`--help` and prints JSON with `--json`.
+A .csv may use ; , or tab, a decimal comma, and titles with a unit such as `q [mm]`. `--help` explains a command, and
+`--json` prints its result as JSON.
 """
 
 AXIS_FILE = "axis.toml"
@@ -49,12 +49,12 @@ FILES = {AXIS_FILE: AXIS, "record.npz": ARCHIVE, "record.csv": TABLE, "puzzle.np
 
 @dataclass(frozen=True)
 class InitRequest(Request):
-    """What ``init`` takes: a folder, and a machine to copy or a trace to read."""
+    """Options of ``init``: a folder, and a machine to copy or a trace to read."""
 
-    directory: Path | None = option(None, "folder to make or to fill", argument=True, metavar="DIR")
+    directory: Path | None = option(None, "folder to create or to fill", argument=True, metavar="DIR")
     trace: Path | None = option(
         None,
-        "write the axis file that this export of a drive tells, into DIR or here",
+        "make an axis file from this export of a drive, in DIR or here",
         flags=("--from",),
         metavar="TRACE",
     )
@@ -65,25 +65,25 @@ class InitRequest(Request):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.trace is not None:
-            self.refuse(["machine", "seed"], "goes without `trace`: the trace alone says what the axis is")
+            self.refuse(["machine", "seed"], "cannot be combined with `trace`; the trace alone describes the axis")
         elif self.directory is None:
             raise InputError("found no folder, expected DIR, or `trace` TRACE")
 
     def folder(self, files: dict[str, str], source: str | Path | None) -> Path:
-        """The folder, checked: ``files`` by name and kind do not exist in it yet, or may be overwritten."""
+        """The output folder; raises :class:`InputError` if ``files`` (name to kind) must not be overwritten."""
         folder = self.directory or Path(".")
         check_folder(folder, files, (source,), force=True)
-        taken = [name for name in files if (folder / name).exists()]
-        if taken and not self.overwrite:
-            exist = f"{', '.join(taken)} exist{'s' if len(taken) == 1 else ''}"
+        existing = [name for name in files if (folder / name).exists()]
+        if existing and not self.overwrite:
+            exist = f"{', '.join(existing)} exist{'s' if len(existing) == 1 else ''}"
             raise InputError(f"{folder}: {exist} already; choose another folder, or give `overwrite`")
         return folder
 
 
 def answer(request: InitRequest) -> Reply:
-    """The folder with its files, or the axis file that a trace tells."""
+    """The folder with its files, or the axis file made from a trace."""
     if request.trace is not None:
-        return _of_trace(request, request.trace)
+        return _from_trace(request, request.trace)
     from emps_design.effects.sizes import sizes
     from emps_design.simulation.synthetic import synthetic_record
 
@@ -105,8 +105,8 @@ def answer(request: InitRequest) -> Reply:
     return Reply(document, view, axis.units)
 
 
-def _of_trace(request: InitRequest, path: Path) -> Reply:
-    """The axis file with what can be read from the trace, and the keys that the user fills in."""
+def _from_trace(request: InitRequest, path: Path) -> Reply:
+    """The axis file with everything that the trace gives, and the keys that the user must fill in."""
     from emps_design.identification.controller import TOLD
     from emps_design.importing.account import axis_text, read_trace
 
@@ -130,10 +130,10 @@ def _of_trace(request: InitRequest, path: Path) -> Reply:
         "to_fill_in": to_fill_in,
         "warnings": warnings,
     }
-    found = [] if law is None else [f"Controller: {law.verdict}{f', {law.reason}' if law.reason else ''}"]
+    controller = [] if law is None else [f"Controller: {law.verdict}{f', {law.reason}' if law.reason else ''}"]
     axis_file = folder / AXIS_FILE
     view = (
-        *map(Line, found),
+        *map(Line, controller),
         Line(f"{axis_file}: fill in {', '.join(to_fill_in)}"),
         Line(f"Then: emps-design import {path} --axis {axis_file} --out record.npz"),
     )
@@ -141,7 +141,7 @@ def _of_trace(request: InitRequest, path: Path) -> Reply:
 
 
 def _law(request: InitRequest, export: Trace) -> LawEstimate | None:
-    """The controller that made the trace; None where the trace could not be read without guesses."""
+    """The controller that made the trace; None if reading the trace took guesses."""
     from emps_design.identification.controller import identify_law
 
     if export.record is None or export.guessed:

@@ -1,4 +1,4 @@
-"""Which controller made a record: structure and gains from reference, position and command alone."""
+"""Identify the controller that made a record: structure and gains, from reference, position and command only."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from emps_design.request import Request, option
 
 
 def read_bare_axis(name_or_path: str | Path, axis: Axis | None = None) -> Axis:
-    """The axis of that name or file, without its controller."""
+    """The embedded machine or axis file of that name, without its controller."""
     loaded = read_axis(name_or_path)
     return Axis.from_dict({**loaded.to_dict(), "controller": {"kind": NONE}}, loaded.name)
 
 
 @dataclass(frozen=True)
 class LawRequest(Request):
-    """What ``law`` takes: records of one controller, and the axis that says how they are read."""
+    """Options of ``law``: records of one controller, and the axis for reading them."""
 
     records: tuple[Record, ...] = option(
         ...,
-        "one or several records of one controller: .mat, .csv, .npz, or drives' exports",
+        "one or several records of the same controller: .mat, .csv, .npz, or drives' exports",
         argument=True,
         metavar="RECORD...",
         typed=list[Path],
@@ -37,7 +37,7 @@ class LawRequest(Request):
     )
     axis: Axis = option(
         "emps2019",
-        "TOML file or embedded machine: how its records are read; [controller] is not",
+        "TOML file or embedded machine, for reading the records; its [controller] is ignored",
         typed=str,
         read=read_bare_axis,
     )
@@ -45,7 +45,7 @@ class LawRequest(Request):
 
 
 def answer(request: LawRequest) -> Reply:
-    """The controller with the deviations of its numbers, or why it is not identified."""
+    """The controller with standard deviations of its gains, or the reason why it is not identified."""
     from emps_design.identification.controller import identify_law
 
     request.progress(LOOKING, 0.0)

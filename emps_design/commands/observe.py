@@ -19,12 +19,12 @@ from emps_design.progress import no_progress
 from emps_design.records import Record
 from emps_design.request import Request, option
 
-LONG = 200_000  # samples from which on progress is worth a bar, and of which that many are written at once
+LONG = 200_000  # samples above which a progress bar is shown; also the number of rows written at once
 
 
 @dataclass(frozen=True)
 class ObserveRequest(Request):
-    """What ``observe`` takes: a record, the identified axis, and the cut-offs of the observers."""
+    """Options of ``observe``: a record, the identified axis, and the cut-offs of the observers."""
 
     record: Record = option(
         ..., "record file: .mat, .csv or .npz", argument=True, metavar="RECORD", typed=Path, read=read_record
@@ -32,28 +32,28 @@ class ObserveRequest(Request):
     axis: Axis = axis_option("TOML file or embedded machine with identified parameters")
     cutoff: float | None = option(
         None,
-        "low-pass of the on-line observer [Hz, or such as 120rad/s], Kalman: twice that; default 20 Hz, or what the "
-        "sampling allows",
+        "low-pass of the on-line observer [Hz, or e.g. 120rad/s], twice that for Kalman; default 20 Hz, less if the "
+        "sampling is slow",
         **HERTZ,
     )
     offline_cutoff: float | None = option(
         None,
-        "zero-phase low-pass off-line [Hz, or such as 370rad/s]; default 60 Hz, or what the sampling allows",
+        "zero-phase low-pass off-line [Hz, or e.g. 370rad/s]; default 60 Hz, less if the sampling is slow",
         **HERTZ,
     )
     injected: str | None = option(
         None,
-        "voltage added behind the controller, a column of the record times VOLTS: it is taken out of u, and its force "
-        "is the truth to judge by",
+        "known voltage added to the controller's output: a column of the record times VOLTS; it is subtracted from u, "
+        "and its force is the true external force",
         metavar="COLUMN:VOLTS",
     )
     out: Path | None = option(
-        None, "write the observed forces to this .csv file; cells are empty where none can be known", writes=TABLE
+        None, "write the observed forces to this .csv file; a cell without a value is empty", writes=TABLE
     )
 
 
 def answer(request: ObserveRequest) -> Reply:
-    """The external force by every method, its errors against a known one, and the smallest force that shows."""
+    """The external force by every method, its errors against a known force, and the smallest observable force."""
     record, axis = request.record, request.axis
     if request.injected is not None:
         voltage = _voltage(request.injected, record)
@@ -71,13 +71,13 @@ def answer(request: ObserveRequest) -> Reply:
 
 
 def _voltage(injected: str, record: Record) -> np.ndarray:
-    """The voltage [V] that ``COLUMN:VOLTS`` stands for, one value per sample."""
+    """The voltage (n,) [V] of ``COLUMN:VOLTS``."""
     name, _, factor = injected.rpartition(":")
     column = np.ravel(np.asarray(record.extra.get(name, ())))
     if column.dtype.kind not in "buif" or column.size != len(record):
         columns = [key for key, values in record.extra.items() if np.size(values) == len(record)]
         raise InputError(
-            f"`injected`: found {injected!r}, expected COLUMN:VOLTS with a further column of {record.name}: "
+            f"`injected`: found {injected!r}, expected COLUMN:VOLTS with an additional column of {record.name}: "
             f"{', '.join(columns) or 'it has none'}"
         )
     try:

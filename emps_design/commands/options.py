@@ -1,8 +1,8 @@
 """Options that several commands share, declared once.
 
-A frequency may be written as 30Hz or 370rad/s, a ratio as 6dB; a bare number is in the option's own unit. The design
+A frequency may be written as 30Hz or 370rad/s, a ratio as 6dB; a plain number is in the unit of the option. The design
 commands share the specification of the velocity loop, numbers that replace those of the axis, structure and filters,
-the position loop around it, and the range of loads that the gains have to hold for.
+the position loop around it, and the range of loads.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ RANGE: dict[str, Any] = {"parse": _ends, "metavar": "LOW:HIGH", "typed": str | N
 
 
 def estimator_from_text(text: str) -> Any:
-    """A velocity estimator as in an axis file from a name or ``kind:number``; the axis checks it.
+    """A velocity estimator as in an axis file, from a name or ``kind:number``; the axis checks it.
 
     >>> estimator_from_text("slope:4"), estimator_from_text("two_tap"), estimator_from_text("filtered:300")
     ({'kind': 'slope', 'points': 4}, 'two_tap', {'kind': 'filtered', 'frequency': 300.0})
@@ -55,24 +55,24 @@ def estimator_from_text(text: str) -> Any:
 
 
 def write_axis(path: Path, axis: Axis) -> str:
-    """Write ``axis`` as TOML to ``path``, whole or not at all, and return the path as text."""
+    """Write ``axis`` as TOML to ``path``, completely or not at all, and return the path as text."""
     write_text(path, axis.to_toml())
     return str(path)
 
 
 @dataclass(frozen=True)
 class LoadRangeRequest(Request):
-    """The range of loads that gains have to hold for."""
+    """The range of loads for which the gains must hold."""
 
-    inertia_range: tuple[float, float] | None = option(None, "factors of the inertia to hold over", **RANGE)
+    inertia_range: tuple[float, float] | None = option(None, "range of factors on the inertia", **RANGE)
     compliance_range: tuple[float, float] | None = option(
-        None, "factors of the compliance of a coupling to hold over", **RANGE
+        None, "range of factors on the compliance of a coupling", **RANGE
     )
-    delay_range: tuple[float, float] | None = option(None, "delay on top to hold over [s]", **RANGE)
+    delay_range: tuple[float, float] | None = option(None, "range of additional delay [s]", **RANGE)
 
     @property
     def load_range(self) -> LoadRange | None:
-        """The range, or None."""
+        """The range, None if the request has none."""
         from emps_design.control.velocity.load_range import LoadRange
 
         ends = {"inertia": self.inertia_range, "compliance": self.compliance_range, "delay": self.delay_range}
@@ -82,40 +82,42 @@ class LoadRangeRequest(Request):
 
 @dataclass(frozen=True)
 class VelocityLoopRequest(Request):
-    """The specification of a velocity loop, and numbers instead of those of its axis."""
+    """The specification of a velocity loop, and numbers that replace those of its axis."""
 
     axis: Axis = axis_argument("emps2018")
-    crossover: float | None = option(None, "crossover w_v of T_vo [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
-    bandwidth: float | None = option(None, "closed-loop -3 dB of T_vc [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
+    crossover: float | None = option(None, "crossover w_v of T_vo [rad/s, or e.g. 30Hz]", unit="rad/s", **RAD_S)
+    bandwidth: float | None = option(None, "closed-loop -3 dB of T_vc [rad/s, or e.g. 30Hz]", unit="rad/s", **RAD_S)
     phase_margin_deg: float = option(60.0, "phase margin phi_v [deg]", unit="deg", flags=("--phase-margin",))
-    structure: str | None = option(None, "ip or pi: proportional to the measured velocity or to the error [the axis's]")
-    reference_filter: bool = option(False, "with pi: 1/(1 + t_v s) before the loop")
+    structure: str | None = option(
+        None, "ip or pi: proportional action on the measured velocity or on the error [default: the axis's]"
+    )
+    reference_filter: bool = option(False, "with pi: reference filter 1/(1 + t_v s)")
     filters: tuple[Any, ...] = option(
         (),
-        f"instead of the axis's, again for more: {FILTER_TEXTS}",
+        f"command filter instead of the axis's, repeatable: {FILTER_TEXTS}",
         flags=("--filter",),
         metavar="FILTER",
         typed=list[str],
         parse=filter_from_text,
     )
-    out: Path | None = option(None, "write the axis file that runs this design, where it is stable", writes=AXIS)
-    velocity: float = option(0.1, "where the effects of the axis are linearised [m/s]", unit="m/s")
-    mass: float | None = option(None, "instead of the axis's [kg]")
-    viscous: float | None = option(None, "instead of the axis's [N/(m/s)]")
-    force_gain: float | None = option(None, "instead of the axis's [N/V]")
-    current_time_constant: float | None = option(None, "instead of the axis's [s]")
-    period: float | None = option(None, "instead of the axis's [s]")
-    computation_delay: int | None = option(None, "instead of the axis's [samples]")
+    out: Path | None = option(None, "write the axis file with this controller, if it is stable", writes=AXIS)
+    velocity: float = option(0.1, "velocity at which the effects of the axis are linearised [m/s]", unit="m/s")
+    mass: float | None = option(None, "mass instead of the axis's [kg]")
+    viscous: float | None = option(None, "viscous friction instead of the axis's [N/(m/s)]")
+    force_gain: float | None = option(None, "force gain instead of the axis's [N/V]")
+    current_time_constant: float | None = option(None, "current loop instead of the axis's [s]")
+    period: float | None = option(None, "sampling period instead of the axis's [s]")
+    computation_delay: int | None = option(None, "delay instead of the axis's [samples]")
     velocity_estimator: Any = option(
         None,
-        "two_tap, backward, slope:POINTS, filtered:HZ or tracking:RAD/S",
+        "instead of the axis's: two_tap, backward, slope:POINTS, filtered:HZ or tracking:RAD/S",
         typed=str | None,
         parse=estimator_from_text,
     )
 
     @property
     def more_numbers(self) -> dict[str, dict[str, Any]]:
-        """Numbers of the axis beside those that all such requests have, by table of the axis file."""
+        """Further numbers that replace those of the axis, by table of the axis file."""
         return {}
 
     @cached_property
@@ -135,17 +137,17 @@ class VelocityLoopRequest(Request):
         return self.axis.replace(**{name: table for name, table in replaced.items() if table})
 
     @property
-    def wanted_structure(self) -> Structure:
+    def loop_structure(self) -> Structure:
         """The structure of the request, or that of the controller of the axis."""
 
         structure = own_structure(self.machine, self.structure)
         if structure.form == "ip":
-            self.refuse(["reference_filter"], "goes with `structure='pi'`; ip has no zero to take away")
+            self.refuse(["reference_filter"], "requires `structure='pi'`; ip has no zero to cancel")
         return replace(structure, reference_filter=self.reference_filter)
 
     @property
-    def wanted_filters(self) -> tuple[Any, ...] | None:
-        """The filters of the request in their order, None for those of the axis."""
+    def loop_filters(self) -> tuple[Any, ...] | None:
+        """The filters of the request in order; None for those of the axis."""
         if not self.filters:
             return None
         return () if self.filters == (NO_FILTER,) else self.filters
@@ -155,38 +157,41 @@ class VelocityLoopRequest(Request):
 class PositionLoopRequest(Request):
     """A position loop around a velocity loop."""
 
-    position_overshoot: float | None = option(None, "a position loop around it: kp for this overshoot of a step [%]")
+    position_overshoot: float | None = option(None, "add a position loop: kp for this step overshoot [%]")
     position_bandwidth: float | None = option(
-        None, "or for this closed-loop -3 dB [rad/s, or such as 10Hz]", unit="rad/s", **RAD_S
+        None, "or kp for this closed-loop -3 dB bandwidth [rad/s, or e.g. 10Hz]", unit="rad/s", **RAD_S
     )
-    position_stiffness: float | None = option(None, "or for this step of force over displacement [N/m]", unit="N/m")
-    position_kp: float | None = option(None, "or this kp itself [1/s]", unit="1/s")
+    position_stiffness: float | None = option(None, "or kp for this stiffness against a force step [N/m]", unit="N/m")
+    position_kp: float | None = option(None, "or kp itself [1/s]", unit="1/s")
     position_every: int | None = option(
-        None, "the position loop runs in every n-th sample [the axis's, or 1]", limits=(1, 1000)
+        None, "run the position loop every n-th sample [default: the axis's, or 1]", limits=(1, 1000)
     )
 
     @property
-    def _wanted(self) -> dict[str, float]:
+    def _position_specification(self) -> dict[str, float]:
+        """The specifications of the position loop that are set, by name without ``position_``."""
         names = ("overshoot", "bandwidth", "stiffness", "kp")
         values = {name: getattr(self, f"position_{name}") for name in names}
         return {name: value for name, value in values.items() if value is not None}
 
     def check_position_loop(self) -> None:
-        """Raise :class:`InputError` where the position loop is not specified once, or ``position_every`` is alone."""
-        if not self._wanted:
+        """Raise :class:`InputError` if ``position_every`` is set without a specification of the position loop."""
+        if not self._position_specification:
             one_of = "`position_overshoot`, `position_bandwidth`, `position_stiffness` or `position_kp`"
-            self.refuse(["position_every"], f"goes with {one_of}")
+            self.refuse(["position_every"], f"requires {one_of}")
 
     def position_loop(self, design: VelocityLoopDesign) -> PositionLoopDesign | None:
-        """The position loop around ``design``, or None."""
-        wanted = self._wanted
-        if not wanted:
+        """The position loop around ``design``; None if the request specifies none."""
+        specification = self._position_specification
+        if not specification:
             return None
-        if len(wanted) > 1:
+        if len(specification) > 1:
             names = "overshoot, bandwidth, stiffness, kp"
-            raise InputError(f"position loop: found {' and '.join(wanted)}, expected one of {names}")
+            raise InputError(f"position loop: found {' and '.join(specification)}, expected one of {names}")
         from emps_design.control.position import design_position_loop
 
-        own = (design.axis.controller.position or {}).get("every", 1)
-        ((name, value),) = wanted.items()
-        return design_position_loop(design, name, value, own if self.position_every is None else self.position_every)
+        ((name, value),) = specification.items()
+        every = self.position_every
+        if every is None:
+            every = (design.axis.controller.position or {}).get("every", 1)
+        return design_position_loop(design, name, value, every)

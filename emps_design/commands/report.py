@@ -1,4 +1,4 @@
-"""The whole design as one self-contained page: specification against achieved, loops, force loop, record."""
+"""Write the whole design as one self-contained page: specification and result, loops, force loop, record."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from emps_design.report.request import ReportRequest
 from emps_design.request import option
 from emps_design.view import Line
 
-CROSSOVER = 100.0  # rad/s, of the paper: for a command line without a specification
+CROSSOVER = 100.0  # rad/s, the paper's, for a command line without a specification
 
 
 @dataclass(frozen=True, kw_only=True)
 class PageRequest(ReportRequest):
-    """What ``report`` takes: what a report is asked for, and the file of the page."""
+    """Options of ``report``: those of a report, and the file of the page."""
 
     out: Path = option(..., "HTML file to write", writes={".html": PAGE, ".htm": PAGE})
 
 
 def answer(request: PageRequest) -> Reply:
-    """The page, written, and the results that it shows."""
+    """The results on the page, which is written to the output file."""
     from emps_design.report.assemble import assemble_report
 
     if request.crossover is None and request.bandwidth is None:
@@ -32,5 +32,5 @@ def answer(request: PageRequest) -> Reply:
         report = assemble_report(request)
         aside.write_text(report.page.html(), encoding="utf-8")
     document = {"out": str(request.out), **report.to_dict()}
-    reason = f"{report.reason}; the page says so first" if report.reason else ""
+    reason = f"{report.reason}; the page starts with this" if report.reason else ""
     return Reply(document, (Line(str(request.out), "code"),), report.page.units, reason, report.warnings)

@@ -1,4 +1,4 @@
-"""Simulate the nonlinear axis: replay a record, follow a reference, co-manipulation, or a break-away test."""
+"""Simulate the nonlinear axis: replay of a record, motion along a reference, co-manipulation, or break-away test."""
 
 from __future__ import annotations
 
@@ -29,90 +29,87 @@ SCENARIOS = {
 
 @dataclass(frozen=True)
 class SimulateRequest(Request):
-    """What ``simulate`` takes: the axis, a scenario, and the options of that scenario.
-
-    The files of ``record`` and ``reference`` are read on the axis of the scenario.
-    """
+    """Options of ``simulate``: the axis, a scenario, and the options of that scenario."""
 
     axis: Axis | None = option(
         None,
-        "TOML file or embedded machine; emps2019, for co-manipulation emps2018",
+        "TOML file or embedded machine; default emps2019, for co-manipulation emps2018",
         argument=True,
         metavar="[AXIS]",
         typed=str | None,
         read=read_axis,
     )
-    scenario: str = option("", "what is simulated, by default what the file is for", choices=("", *SCENARIOS))
+    scenario: str = option("", "default: replay of --record, or along --reference", choices=("", *SCENARIOS))
     record: Path | None = option(None, "record to replay: .mat, .csv or .npz")
     reference: Path | None = option(None, "reference to follow: columns t, q_ref (.csv, .npz)")
-    rate: float = option(1.0, "break-away: how fast the force rises [N/s]", unit="N/s")
+    rate: float = option(1.0, "break-away: rate of the force [N/s]", unit="N/s")
     peak: float | None = option(None, "break-away: largest force [N]", unit="N")
     mismatch: float = option(0.02, "co-manipulation: relative error of the model", unit="")
     mass: float | None = option(None, "co-manipulation: apparent mass M_a [kg]", unit="kg")
     damping: float | None = option(None, "co-manipulation: apparent damping B [N/(m/s)]", unit="N/(m/s)")
     reference_velocity: float = option(0.0, "co-manipulation: qd_0 of (25) [m/s]", unit="m/s")
     as_printed: bool = option(False, "co-manipulation: (27), (30) as printed")
-    plants: int = option(200, "co-manipulation: plants drawn within the mismatch", limits=(0, 1_000_000))
+    plants: int = option(200, "co-manipulation: random plants within the mismatch", limits=(0, 1_000_000))
     tau_ref: float | None = option(None, "bench: force reference of the cascaded loop [N]", unit="N")
-    seed: int = option(0, "seed of what is drawn", limits=(0, None))
+    seed: int = option(0, "seed of the random numbers", limits=(0, None))
     out: Path | None = option(
         None, "write the signals to this file: .npz (lossless) or .csv", writes={".npz": ARCHIVE, ".csv": TABLE}
     )
-    plot: Path | None = option(None, "draw the run into this file: .png, .svg or .pdf", writes=PICTURES)
+    plot: Path | None = option(None, "plot the run to this file: .png, .svg or .pdf", writes=PICTURES)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.wanted:
+        if not self.chosen_scenario:
             raise InputError(f"`scenario`: nothing to do, expected one of {', '.join(SCENARIOS)}")
         for name in dict.fromkeys(chain(*SCENARIOS.values())):
             users = [scenario for scenario, options in SCENARIOS.items() if name in options]
-            if self.wanted not in users:
-                self.refuse([name], f"goes with `scenario` {' or '.join(users)}, found {self.wanted}")
-        if self.wanted in ("replay", "reference"):
-            name = SCENARIOS[self.wanted][0]
+            if self.chosen_scenario not in users:
+                self.refuse([name], f"requires `scenario` {' or '.join(users)}, found {self.chosen_scenario}")
+        if self.chosen_scenario in ("replay", "reference"):
+            name = SCENARIOS[self.chosen_scenario][0]
             if getattr(self, name) is None:
-                raise InputError(f"`scenario` {self.wanted}: found no {name}, expected `{name}` FILE")
-        if self.wanted == "bench":
-            self.refuse(["axis"], "the bench is a machine of its own; leave it out")
+                raise InputError(f"`scenario` {self.chosen_scenario}: found no {name}, expected `{name}` FILE")
+        if self.chosen_scenario == "bench":
+            self.refuse(["axis"], "the bench has its own machine; leave the axis out")
 
     @property
-    def wanted(self) -> str:
-        """The scenario: that of the option, or of the file."""
+    def chosen_scenario(self) -> str:
+        """The scenario: by default ``replay`` with a record, ``reference`` with a reference, else ""."""
         if self.scenario:
             return self.scenario
         return "replay" if self.record is not None else "" if self.reference is None else "reference"
 
     @cached_property
     def machine(self) -> Axis:
-        """The axis that is simulated, by default that of the paper or of the published record."""
-        return self.axis or read_axis("emps2018" if self.wanted == "comanipulation" else "emps2019")
+        """The axis to simulate: by default emps2018 for co-manipulation, else emps2019."""
+        return self.axis or read_axis("emps2018" if self.chosen_scenario == "comanipulation" else "emps2019")
 
 
 def answer(request: SimulateRequest) -> Reply:
-    """Run the scenario; a loop that is unstable or swings has a reason not to run it."""
+    """Run the scenario; the answer has a reason if the loop is unstable or in a limit cycle."""
     result = _simulated(request)
     if request.out is not None:
         _write(request.out, result)
     if request.plot is not None:
         _draw(request.plot, result)
     document = result.to_dict()
-    units = LINEAR if request.wanted == "bench" else request.machine.units
+    units = LINEAR if request.chosen_scenario == "bench" else request.machine.units
     return Reply(document, result.view(), units, document.get("reason", ""), tuple(document["warnings"]))
 
 
 def _simulated(request: SimulateRequest) -> Any:
     """The result of the scenario."""
-    if request.wanted == "bench":
+    if request.chosen_scenario == "bench":
         from emps_design.paper.virtual_bench import numbers, reproduce_section_3
 
         bench = numbers() if request.tau_ref is None else numbers(tau_ref=request.tau_ref)
         return reproduce_section_3(request.seed, bench, request.progress)
-    if request.wanted == "comanipulation":
+    if request.chosen_scenario == "comanipulation":
         return _comanipulation(request)
     from emps_design.simulation import scenarios
     from emps_design.simulation.synthetic import read_reference
 
-    if request.wanted == "breakaway":
+    if request.chosen_scenario == "breakaway":
         return scenarios.breakaway(request.machine, request.rate, request.peak)
     machine = request.machine
     if request.record is not None:

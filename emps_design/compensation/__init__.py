@@ -1,4 +1,4 @@
-"""Feed-forward of what the model knows, tried on the nonlinear machine within the uncertainty of its parameters."""
+"""Feed-forward from the model, tested on the nonlinear machine within the uncertainty of its parameters."""
 
 import lazy_loader
 

@@ -1,17 +1,18 @@
-"""Feed-forward along a reference, and changes of the feedback for what no feed-forward compensates.
+"""Feed-forward along a reference, and changes of the feedback for effects that feed-forward cannot compensate.
 
-Feed-forward is the command that the motion needs by the model, added to that of the law. Terms are ``inertia``,
-``viscous``, ``coulomb`` and ``constant`` of the baseline, ``lead`` for the delay between command and force, and one
-for each effect of the axis that acts on the carriage as a force of position and velocity. Every term evaluates the
-effect's own kernel on the reference. Friction takes the sign of the reference velocity and is proportional to it
-below a small speed, so it does not chatter at a reversal. The law acts on the position error alone: its response to
-the reference itself (the braking of a velocity feedback) is already part of the feed-forward.
+Feed-forward is the command that the motion requires according to the model; it is added to the output of the law. Its
+terms are ``inertia``, ``viscous``, ``coulomb`` and ``constant`` of the baseline, ``lead`` for the delay between command
+and force, and one term for each effect of the axis that acts on the carriage as a force of position and velocity. A
+term evaluates the kernel of the effect on the reference. Friction has the sign of the reference velocity, and is
+proportional to the velocity below a small speed, so that it does not chatter at a reversal. The law acts on the
+position error only: its response to the reference itself (the braking of a velocity feedback) is already part of the
+feed-forward.
 
-Changes of the feedback are a filter for a coupling and a gain limit for a play. A play transmits no force within its
-gap. For an oscillation it acts as a spring and a damper of which the share N is effective: its describing function,
-from N = 0 (the oscillation stays within the gap) to N = 1 (the gap is negligible), without the phase of the damper.
-No limit cycle is expected as long as the sampled loop with such a coupling is stable for every N; the gain limit is
-the gain at which it first is not. Dry friction is neglected, which is conservative.
+Changes of the feedback are a filter for a coupling and a gain limit for backlash. Backlash transmits no force within
+its gap. For an oscillation it acts as a spring and a damper of which the share N is effective. N is its describing
+function, from N = 0 (the oscillation stays within the gap) to N = 1 (the gap is negligible), without the phase of the
+damper. No limit cycle is expected while the sampled loop with such a coupling is stable for every N; the gain limit is
+the smallest gain with an unstable loop. Dry friction is neglected, which is conservative.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ from emps_design.units import Units
 
 BASELINE = {"inertia": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "constant": OFFSET}
 LEAD = "lead"
-REVERSAL = 2e-3  # of the reference's highest speed: below it friction is fed forward in proportion to the speed
+REVERSAL = 2e-3  # share of the reference's largest speed below which fed-forward friction is proportional to the speed
 
 PHASE_MARGIN_DEG = 60.0
-SHARES = 12  # of the describing function, between the slowest coupling that an axis may have and the whole one
-HIGHEST = 100.0  # factors of the gain looked at, and its inverse
+SHARES = 12  # number of values N of the describing function, from the softest coupling of an axis to N = 1
+HIGHEST = 100.0  # largest factor on the gain, and inverse of the smallest
 
 
 @dataclass(frozen=True)
 class FeedForward:
-    """Feed-forward of the ``terms`` of an ``axis``; ``baseline`` and ``parameters`` replace the axis's own."""
+    """Feed-forward with ``terms`` for an ``axis``; ``baseline`` and ``parameters`` replace those of the axis."""
 
     axis: Axis
     terms: tuple[str, ...]
@@ -51,17 +52,17 @@ class FeedForward:
     parameters: tuple[np.ndarray, ...] = field(repr=False)
     back_emf: float = 0.0  # N/(m/s), braking of a motor without a current loop: part of the viscous term
     late: float = 0.0  # s, from command to force, without the hold and the computation delay
-    reversal: float = 0.0  # m/s, friction is proportional to velocity below it; 0: a share of the highest speed
+    reversal: float = 0.0  # m/s, friction is proportional to the velocity below it; 0: a share of the largest speed
 
     @classmethod
     def of(cls, axis: Axis, terms: Sequence[str]) -> FeedForward:
-        """The feed-forward of ``terms`` with the numbers of ``axis``."""
+        """The feed-forward of ``terms`` with the parameters of ``axis``."""
         parameters = tuple(entry.effect.values(entry.parameters) for entry in axis.effects)
-        braked = axis.drive.braking if "viscous" in terms else 0.0
-        return cls(axis, tuple(terms), axis.mechanics.array(), parameters, braked, lateness(axis))
+        braking = axis.drive.braking if "viscous" in terms else 0.0
+        return cls(axis, tuple(terms), axis.mechanics.array(), parameters, braking, lateness(axis))
 
     def along(self, q_ref: np.ndarray) -> np.ndarray:
-        """Return the command (n,) that is added along ``q_ref`` (n,) [m] to that of the law on its error.
+        """Return the command (n,) to add to the output of the law along ``q_ref`` (n,) [m].
 
         >>> from emps_design.machines import machine
         >>> ahead = FeedForward.of(machine("emps2019"), ("constant",)).along(np.zeros(5))
@@ -79,18 +80,18 @@ class FeedForward:
         return (0.5 + sampling.computation_delay) * sampling.period + (self.late if LEAD in self.terms else 0.0)
 
     def command(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Command (n,) that the motion ``q`` [m], ``v`` [m/s], ``a`` [m/s^2] (n,) needs, by the terms."""
+        """Command (n,) that the motion ``q`` [m], ``v`` [m/s], ``a`` [m/s^2] (n,) requires according to the terms."""
         from emps_design.simulation.kernels.inverse import force_along, table
 
         direction = np.clip(v / self.reversal, -1.0, 1.0) if self.reversal > 0.0 else np.zeros(q.size)
-        chosen = self.effects()
-        hooks, starts = table([effect for _, effect, _ in chosen])
-        p, force = np.concatenate([np.zeros(0), *(values for _, _, values in chosen)]), np.empty(q.size)
-        force_along(q, v, a, direction, self.own(), self.baseline, hooks, starts, p, np.zeros(1), force)
+        effects = self.effects()
+        hooks, starts = table([effect for _, effect, _ in effects])
+        p, force = np.concatenate([np.zeros(0), *(values for _, _, values in effects)]), np.empty(q.size)
+        force_along(q, v, a, direction, self.own_baseline(), self.baseline, hooks, starts, p, np.zeros(1), force)
         return (force + self.back_emf * v if self.back_emf else force) / self.axis.drive.gain
 
-    def own(self) -> np.ndarray:
-        """The baseline (4,), 0 for each parameter that is not among the terms."""
+    def own_baseline(self) -> np.ndarray:
+        """The baseline (4,), with 0 for each parameter that is not among the terms."""
         return np.array([self.baseline[at] if name in self.terms else 0.0 for name, at in BASELINE.items()])
 
     def effects(self) -> list[tuple[str, Effect, np.ndarray]]:
@@ -100,12 +101,12 @@ class FeedForward:
 
 
 def reversal_of(q_ref: np.ndarray, period: float) -> float:
-    """The speed [m/s] below which friction is fed forward in proportion, along a reference ``q_ref`` (n,) [m]."""
+    """The speed [m/s] below which fed-forward friction is proportional to it, for a reference ``q_ref`` (n,) [m]."""
     return REVERSAL * float(np.abs(motion_ahead(q_ref, period, 0.0)[1]).max(initial=0.0))
 
 
 def named_effects(axis: Axis) -> list[tuple[str, AxisEffect]]:
-    """Each effect of ``axis`` with a name: its kind, numbered where there are several of one."""
+    """Each effect of ``axis`` with a name: its kind, numbered if there are several of that kind."""
     kinds, named = [entry.kind for entry in axis.effects], []
     for place, entry in enumerate(axis.effects):
         number = f"_{kinds[: place + 1].count(entry.kind)}" if kinds.count(entry.kind) > 1 else ""
@@ -114,7 +115,7 @@ def named_effects(axis: Axis) -> list[tuple[str, AxisEffect]]:
 
 
 def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Every term that ``axis`` has, and a line for each of its effects that cannot be compensated."""
+    """The terms of ``axis``, and by name the reason for each effect that cannot be compensated."""
     terms, not_compensated = [*BASELINE], {}
     for name, entry in named_effects(axis):
         reason = why_not(entry.effect, axis.units)
@@ -126,7 +127,7 @@ def terms_of(axis: Axis) -> tuple[tuple[str, ...], dict[str, str]]:
 
 
 def lateness(axis: Axis) -> float:
-    """Time [s] by which the force lags the command: current loop, lags and delays among the effects."""
+    """Lag [s] of the force behind the command: current loop, lags and delays of the effects."""
     b, late = axis.mechanics.array(), axis.drive.current_time_constant
     for entry in axis.effects:
         p = entry.effect.values(entry.parameters)
@@ -136,18 +137,18 @@ def lateness(axis: Axis) -> float:
 
 
 def why_not(effect: Effect, units: Units) -> str:
-    """Return why no force of the present position and velocity stands for ``effect``; empty if one does."""
+    """Return why ``effect`` is not a force of the present position and velocity; "" if it is."""
     if effect.rate is not None:
-        return "it has a state of its own, which position and velocity do not give"
+        return "it has a state that does not follow from position and velocity"
     if effect.channel != "plant":
         return f"it acts in the {effect.channel}, not as a {units.word('force')} of position and velocity"
     if effect.over == "t":
-        return "it goes by the time of one record, which a controller does not know"
+        return "it depends on the time within one record, which a controller does not know"
     return ""
 
 
 def motion_ahead(q_ref: np.ndarray, period: float, wait: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity and acceleration (n,) of ``q_ref`` (n,) a time ``wait`` [s] later, at rest before and after.
+    """Position, velocity and acceleration (n,) of ``q_ref`` (n,) after a time ``wait`` [s]; at rest before and after.
 
     >>> q, v, a = motion_ahead(np.array([0.0, 1.0, 2.0, 3.0]), 1.0, 0.5)
     >>> q.tolist(), v.tolist()
@@ -162,7 +163,7 @@ def motion_ahead(q_ref: np.ndarray, period: float, wait: float) -> tuple[np.ndar
 
 
 def feedback_cures(axis: Axis) -> list[dict[str, Any]]:
-    """Return one cure for each coupling and each play among the effects of ``axis``: numbers and a line of advice.
+    """Return one remedy for each coupling and each backlash of ``axis``: numbers and a sentence of advice.
 
     >>> from emps_design.machines import machine
     >>> play = {"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.1, "share": 0.4}
@@ -175,14 +176,14 @@ def feedback_cures(axis: Axis) -> list[dict[str, Any]]:
         if is_coupling(entry.effect):
             try:
                 cure = _gain(axis, place) if entry.effect.play else _filter(axis)
-            except EmpsError as error:  # a user's law may have no linear form
+            except EmpsError as error:  # a user's law may not be linear
                 cure = {"cure": None, "advice": note("no-cure", f"no advice, {error}")}
             cures.append({"effect": entry.kind, **cure, "advice": cure["advice"].of(entry.kind)})
     return cures
 
 
 def _filter(axis: Axis) -> dict[str, Any]:
-    """The command filter that gives a velocity loop of ``axis`` its largest crossover."""
+    """The command filter with which a velocity loop of ``axis`` has its largest crossover."""
     from emps_design.control.velocity.gains import own_filters, own_structure
     from emps_design.control.velocity.limits import suggest_filter
 
@@ -192,54 +193,54 @@ def _filter(axis: Axis) -> dict[str, Any]:
     before, added = suggestion["without"], suggestion["filter"]
     reached = "has no crossover" if before["crossover"] is None else f"reaches {before['crossover']:.4g} rad/s"
     if added is None:
-        advice = note("no-filter-helps", f"{loop} {reached}, and no one filter more raises that by a tenth")
+        advice = note("no-filter-helps", f"{loop} {reached}; no additional filter increases that by 10 %")
     else:
         shape = f", damping {added['damping']:g}, depth {added['depth']:g}" if added["kind"] == "notch" else ""
         text = (
-            f"{loop} {reached} without, and {suggestion['with']['crossover']:.4g} rad/s with a {added['kind']} at "
-            f"{added['frequency']:.4g} Hz{shape}"
+            f"{loop} {reached} without a filter, and {suggestion['with']['crossover']:.4g} rad/s with a "
+            f"{added['kind']} at {added['frequency']:.4g} Hz{shape}"
         )
         advice = note("filter-helps", text, **added)
     return {"cure": "filter", "structure": structure.form, **suggestion, "advice": advice}
 
 
 def _gain(axis: Axis, place: int) -> dict[str, Any]:
-    """The gain of the law of ``axis`` up to which no limit cycle is expected from its play at ``place``."""
+    """The limit of the law's gain below which the backlash at ``place`` of ``axis`` causes no limit cycle."""
     factor, name = largest_factor(axis, place), get_law(axis.controller.kind).gain
     now: Any = table_of(axis) if name else None
     for part in name.split(".") if name else ():
         now = getattr(now, part)
     number = now if isinstance(now, int | float) else None
     limit = factor * number if number is not None and 0.0 < factor < math.inf else None
-    own = name or "the gain of the law"
+    gain = name or "the gain of the law"
     if not factor:
         text = (
-            f"a limit cycle is possible with every {own} down to 1/{HIGHEST:g} of what it is, dry friction left "
-            "out; lower the gain of the position or the integral, or preload the play"
+            f"without dry friction a limit cycle is possible with every {gain} down to 1/{HIGHEST:g} of its value; "
+            "reduce the gain of the position or the integral, or preload the transmission"
         )
-        advice = grave("limit-cycle-at-any-gain", text, gain=own)
+        advice = grave("limit-cycle-at-any-gain", text, gain=gain)
     elif factor == math.inf:
-        text = f"no limit cycle is expected with {own} up to {HIGHEST:g} times what it is"
-        advice = note("no-limit-cycle", text, gain=own)
+        text = f"no limit cycle is expected with {gain} up to {HIGHEST:g} times its value"
+        advice = note("no-limit-cycle", text, gain=gain)
     else:
-        bound = f"{factor:.3g} times what it is" if limit is None else f"{limit:.4g}, now {number:.4g}"
-        text = f"keep {own} below {bound}; from there on a limit cycle is possible, dry friction left out"
+        bound = f"{factor:.3g} times its value" if limit is None else f"{limit:.4g}, now {number:.4g}"
+        text = f"keep {gain} below {bound}; above it a limit cycle is possible without dry friction"
         if factor < 1.0:
-            advice = grave("limit-cycle-at-this-gain", text, gain=own, factor=factor)
+            advice = grave("limit-cycle-at-this-gain", text, gain=gain, factor=factor)
         else:
-            advice = note("limit-cycle-above", text, gain=own, factor=factor)
+            advice = note("limit-cycle-above", text, gain=gain, factor=factor)
     return {
         "cure": "limit of the gain", "gain": name or None, "now": number, "limit": limit,
         "factor": factor if math.isfinite(factor) else None,
-        "method": "describing function of the play in the sampled loop", "advice": advice,
+        "method": "describing function of the backlash in the sampled loop", "advice": advice,
     }  # fmt: skip
 
 
 def largest_factor(axis: Axis, place: int) -> float:
-    """Smallest factor on the gain of the law of ``axis`` that makes its loop with the play at ``place`` unstable.
+    """Smallest factor on the gain of the law with which the loop with the backlash at ``place`` is unstable.
 
-    Below 1 if the loop is unstable with the present gain; infinite if it is stable up to :data:`HIGHEST` times that
-    gain; 0 if it is unstable even at 1 / :data:`HIGHEST` of it.
+    It is below 1 if the loop is unstable with the present gain, infinite if the loop is stable up to :data:`HIGHEST`
+    times that gain, and 0 if it is unstable even at 1 / :data:`HIGHEST` of it.
     """
     loops = _with_shares(axis, place)
 
@@ -267,7 +268,7 @@ def largest_factor(axis: Axis, place: int) -> float:
 
 
 def _with_shares(axis: Axis, place: int) -> list[Axis]:
-    """Return ``axis`` with linear couplings for the play, one per share N, and once without its load (N = 0)."""
+    """Return ``axis`` with a linear coupling for the backlash, one for each N, and once without its load (N = 0)."""
     play = axis.effects[place]
     p = dict(zip((p.name for p in play.effect.parameters), play.effect.values(play.parameters), strict=True))
     others = [{"kind": other.kind, **other.parameters} for i, other in enumerate(axis.effects) if i != place]

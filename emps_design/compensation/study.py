@@ -1,8 +1,8 @@
-"""Try a feed-forward in closed loop on the nonlinear axis: each term alone, together, and with wrong parameters.
+"""Test a feed-forward in closed loop on the nonlinear axis: each term alone, all together, and with wrong parameters.
 
-The machine stays as the axis says; the feed-forward gets parameters that are wrong by the ``mismatch``, phases by the
-``phase`` error, each in the direction that does more harm, all at once. A term that does more harm than good there is
-left out.
+The machine does not change. The parameters of the feed-forward are wrong by the ``mismatch``, its phases by the
+``phase`` error, all at once and each with the sign that increases the error more. A term that then increases the error
+is left out.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from emps_design.simulation import Plant, trapezoid_laps
 from emps_design.view import Line, Table, View, Viewed
 
 MISMATCH, PHASE_DEG = 0.02, 10.0  # errors of parameters and of phases
-ON_ERROR = "beside a feed-forward the law is given the position error alone: reference 0, position less the reference"
-PER_RECORD = "its phase is that of one record's zero: home the encoder before it is used"
+ON_ERROR = "with feed-forward the law acts on the position error only: reference 0, position minus the reference"
+PER_RECORD = "its phase refers to the encoder zero of one record: home the encoder before use"
 
 
 @dataclass(frozen=True)
 class TermResult:
-    """One term: tracking error with it ``alone``, with all other terms, at its worst, and whether it is ``kept``."""
+    """One term: tracking error with it ``alone``, without it, with its worst errors, and whether it is ``kept``."""
 
     name: str
     kept: bool
@@ -53,7 +53,7 @@ class TermResult:
 
 @dataclass(frozen=True)
 class Compensation(Viewed):
-    """A feed-forward and the rms tracking error with and without it, in the unit of what the law follows."""
+    """A feed-forward, and the rms tracking error with and without it, in the unit of the law's reference."""
 
     axis: Axis
     feedforward: FeedForward
@@ -73,7 +73,7 @@ class Compensation(Viewed):
     warnings: tuple[Message, ...] = ()
 
     def errors(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Time [s] (n,) and tracking error (n,), ``without`` feed-forward and ``with`` the terms that are kept."""
+        """Time [s] (n,) and tracking error (n,), ``without`` feed-forward and ``with`` the terms in use."""
         trial = Trial(self.axis, self.q_ref)
         errors = {"without": trial.error(None)[0], "with": trial.error(trial.ahead(self.feedforward))[0]}
         return self.axis.sampling.period * np.arange(self.q_ref.size), errors
@@ -100,7 +100,7 @@ class Compensation(Viewed):
                 "mismatch": self.mismatch,
                 "phase_deg": self.phase_deg,
                 **({"law": ON_ERROR} if self.feedforward.terms else {}),
-                "not_varied": "periods and lengths, whose error is that of the phase, and exponents",
+                "not_varied": "periods and lengths, since the phase error covers them, and exponents",
             },
             "limited_share": self.limited,
             "overshoot": dict(zip(("without", "with"), self.overshoot, strict=True)),
@@ -116,8 +116,8 @@ class Compensation(Viewed):
         }
 
     def view(self) -> View:
-        """The tracking error of each term, of all together, and advice on what feedback can do."""
-        headings = ("term", "alone", "all but it", "all, it wrong", "")
+        """The tracking error of each term and of all together, and advice on the feedback."""
+        headings = ("term", "alone", "all others", "all, this wrong", "")
         rows = [
             (term.name.replace("_", " "), term.alone, term.left_out, term.worst, _remark(term)) for term in self.terms
         ]
@@ -125,14 +125,16 @@ class Compensation(Viewed):
         totals = [
             ("without feed-forward", self.without),
             ("with inertia, friction and constant force", self.baseline),
-            ("with all that is kept", self.achieved),
-            ("and every parameter wrong", self.worst),
+            ("with all terms in use", self.achieved),
+            ("the same, every parameter wrong", self.worst),
         ]
         words = self.axis.units.words
         return (
             Table(headings, rows, title, words=("",), missing=""),
             Table(("all together", "rms", "unit"), [(words(label), rms, self.unit) for label, rms in totals]),
-            Line(f"wrong: by {100 * self.mismatch:g} %, phases by {self.phase_deg:g} deg, the way that does more harm"),
+            Line(
+                f"wrong: by {100 * self.mismatch:g} %, phases by {self.phase_deg:g} deg, with the less favourable sign"
+            ),
             *([Line(f"{ON_ERROR.capitalize()}.")] if self.feedforward.terms else []),
             *(Line(cure["advice"]) for cure in self.feedback),
         )
@@ -149,7 +151,7 @@ def digest_of(axis: Axis) -> str:
 
 @dataclass(frozen=True)
 class Trial:
-    """An axis and a reference, on which feed-forwards are tried."""
+    """An axis and a reference for testing feed-forwards."""
 
     axis: Axis
     q_ref: np.ndarray
@@ -167,8 +169,8 @@ class Trial:
     def _follows_velocity(self) -> bool:
         if self.law.follows == "rest position":
             raise InputError(
-                f"controller.kind: found {self.axis.controller.kind!r}, which follows no reference; expected a law "
-                "that follows a position or a velocity"
+                f"controller.kind: found {self.axis.controller.kind!r}, which has no reference; expected a law that "
+                "follows a position or a velocity"
             )
         return self.law.follows == "velocity"
 
@@ -178,31 +180,31 @@ class Trial:
         return self.axis.units.unit("m/s" if self._follows_velocity else "m")
 
     def error(self, ahead: np.ndarray | None) -> tuple[np.ndarray, float]:
-        """Tracking error (n,) with ``ahead`` (n,) beside the law on its error, and the share of samples at the limit.
+        """Tracking error (n,) with ``ahead`` (n,) added to the law on the error, and the share of samples at the limit.
 
-        With None the law acts alone, unchanged. Raises :class:`SimulationError` where the loop is unstable.
+        With None the law acts alone, unchanged. Raises :class:`SimulationError` if the loop is unstable.
         """
         law = self.law if ahead is None else self.law.on_error()
         run = self._plant.closed_loop(self.q_ref, voltage_noise=ahead, law=law)
         limited = float(np.mean(np.abs(run.u) >= self.axis.drive.command_limit))
-        return self.wanted - (run.v if self._follows_velocity else run.position), limited
+        return self.reference - (run.v if self._follows_velocity else run.position), limited
 
     @property
-    def wanted(self) -> np.ndarray:
+    def reference(self) -> np.ndarray:
         """The reference of the law (n,) [m or m/s]."""
         return np.gradient(self.q_ref, self.axis.sampling.period) if self._follows_velocity else self.q_ref
 
     def overshoot(self, ahead: np.ndarray | None) -> float:
-        """How far the axis leaves the range of its reference, in the reference's unit; infinite if unstable."""
-        wanted = self.wanted
+        """Overshoot beyond the range of the reference, in its unit; infinite if the loop is unstable."""
+        reference = self.reference
         try:
-            came = wanted - self.error(ahead)[0]
+            actual = reference - self.error(ahead)[0]
         except SimulationError:
             return math.inf
-        return float(max(came.max() - wanted.max(), wanted.min() - came.min(), 0.0))
+        return float(max(actual.max() - reference.max(), reference.min() - actual.min(), 0.0))
 
     def run(self, ahead: np.ndarray | None) -> tuple[float, float]:
-        """Rms of :meth:`error`, infinite where the loop is unstable, and the share of samples at the limit."""
+        """Rms of :meth:`error`, infinite if the loop is unstable, and the share of samples at the limit."""
         try:
             error, limited = self.error(ahead)
         except SimulationError:
@@ -223,7 +225,7 @@ class Trial:
 
     @cached_property
     def with_terms(self) -> Callable[[tuple[str, ...]], tuple[float, float]]:
-        """:meth:`with_ahead` of terms with the axis's own parameters; each set of terms is simulated once."""
+        """:meth:`with_ahead` for terms with the parameters of the axis, cached by the terms."""
         return cache(lambda terms: self.with_ahead(FeedForward.of(self.axis, terms)))
 
 
@@ -234,7 +236,7 @@ def compensate(
     phase_deg: float = PHASE_DEG,
     terms: Sequence[str] | None = None,
 ) -> Compensation:
-    """Find the feed-forward of ``axis`` that lowers the tracking error along ``q_ref`` (n,) [m], and try it.
+    """Find the feed-forward of ``axis`` that reduces the tracking error along ``q_ref`` (n,) [m], and test it.
 
     ``q_ref`` is by default one lap of trapezoidal velocity; ``mismatch`` is the relative error of the parameters,
     ``phase_deg`` that of phases; ``terms`` are those to choose from, by default all. Raises :class:`InputError` for a
@@ -258,21 +260,21 @@ def compensate(
     trial = Trial(axis, q_ref)
     without, _ = trial.with_terms(())
     if not math.isfinite(without):
-        raise UnstableError(f"axis {axis.name}: the loop is unstable without any feed-forward; design it first")
+        raise UnstableError(f"axis {axis.name}: the loop is unstable without feed-forward; stabilise it first")
     loop = worst_loop_of(axis)
     if not loop.margins.stable:  # a short run may end before that shows
         words = loop_in_words(loop, axis.units)
-        raise UnstableError(f"axis {axis.name}: the {words} is unstable without any feed-forward; design it first")
+        raise UnstableError(f"axis {axis.name}: the {words} is unstable without feed-forward; stabilise it first")
     possible = tuple(name for name in possible if terms is None or name in terms)
     baseline, _ = trial.with_terms(tuple(BASELINE))
     alone = {name: trial.with_terms((name,))[0] for name in possible}
     kept, notes, trials = _selected(trial, possible, mismatch, phase_deg)
     rigid = tuple(name for name in kept if name in BASELINE)
     if trial.with_terms(kept)[0] > trial.with_terms(rigid)[0]:
-        notes |= {name: "together with the others it does harm" for name in kept if name not in BASELINE}
+        notes |= {name: "increases the error together with the others" for name in kept if name not in BASELINE}
         kept = rigid
     if trial.with_terms(kept)[0] > without:
-        notes |= dict.fromkeys(kept, "no feed-forward lowers the error")
+        notes |= dict.fromkeys(kept, "no feed-forward reduces the error")
         kept = ()
     ahead = replace(FeedForward.of(axis, kept), reversal=reversal_of(q_ref, axis.sampling.period))
     achieved, limited = trial.with_terms(kept)
@@ -284,66 +286,69 @@ def compensate(
     warnings += [warning("term-left-out", f"{name} is left out: {reason}", term=name) for name, reason in notes.items()]
     if kept and axis.controller.parameters.get("anti_windup") == "none":
         text = (
-            "anti_windup none: beside a feed-forward the integral has all of an error that the limit leaves, and may "
-            "keep the axis swinging; take hold"
+            "anti_windup none: with feed-forward the integral winds up on the whole error at the limit, and may keep "
+            "the axis oscillating; use hold"
         )
         warnings.append(warning("winds-up", text))
     overshoot = trial.overshoot(None), trial.overshoot(trial.ahead(ahead))
     if limited > 0.0:
         text = f"the command is at its limit {100 * limited:.2g} % of the time{_farther(*overshoot, trial)}"
         warnings.append(warning("limit-with-feedforward", text, share=limited))
-    tried = tuple(
+    results = tuple(
         TermResult(name, name in kept, alone[name], *trials[name], notes.get(name, _note_on_phase(axis, name)))
         for name in possible
     )
     return Compensation(
-        axis, ahead, q_ref, without, baseline, achieved, worst, tried, not_compensated, mismatch, phase_deg, limited,
+        axis, ahead, q_ref, without, baseline, achieved, worst, results, not_compensated, mismatch, phase_deg, limited,
         overshoot, trial.unit, tuple(feedback_cures(axis)), tuple(warnings),
     )  # fmt: skip
 
 
 def _farther(without: float, achieved: float, trial: Trial) -> str:
-    """Return a clause that the feed-forward overshoots more than the law alone; empty if it does not."""
-    if not achieved > max(1.05 * without, 1e-3 * float(np.ptp(trial.wanted))):
+    """Return a clause on a larger overshoot than without feed-forward; "" if there is none."""
+    if not achieved > max(1.05 * without, 1e-3 * float(np.ptp(trial.reference))):
         return ""
     base = "mm/s" if trial.law.follows == "velocity" else "mm"
-    farther, before = (trial.axis.units.quantity(size, base, ".3g") for size in (achieved, without))
+    with_it, without_it = (trial.axis.units.quantity(size, base, ".3g") for size in (achieved, without))
     return (
-        f", and the axis goes up to {farther} beyond the reference, {before} "
-        "without feed-forward, which lags behind instead: the limit does not let it follow; ask for less acceleration"
+        f", and the axis overshoots the reference by up to {with_it}, {without_it} without feed-forward, where it lags "
+        "behind: at the limit it cannot follow; use less acceleration"
     )
 
 
 def _selected(
     trial: Trial, possible: Sequence[str], mismatch: float, phase_deg: float
 ) -> tuple[tuple[str, ...], dict[str, str], dict[str, tuple[float | None, float | None]]]:
-    """Return the terms that help even at their worst, notes on the others, and errors without and at worst of each."""
+    """Return the terms that help even with wrong parameters, notes on the others, and two tracking errors of each.
+
+    These are the error without the term, and that with its parameters wrong.
+    """
     kept, notes = list(possible), dict[str, str]()
     trials: dict[str, tuple[float | None, float | None]] = {}
     while True:
         harm: dict[str, float] = {}
         for name in kept:
             others = tuple(term for term in kept if term != name)
-            lacking, _ = trial.with_terms(others)
+            without_it, _ = trial.with_terms(others)
             worst = _worst(trial, tuple(kept), mismatch, phase_deg, only=name)
-            trials[name] = (lacking, worst)
-            if worst > lacking:
-                harm[name] = worst / lacking if lacking > 0.0 else math.inf
+            trials[name] = (without_it, worst)
+            if worst > without_it:
+                harm[name] = worst / without_it if without_it > 0.0 else math.inf
         if not harm:
             return tuple(kept), notes, trials
         name = max(harm, key=lambda term: harm[term])
         kept.remove(name)
-        notes[name] = f"within its uncertainty it does harm, {100 * (harm[name] - 1):.2g} % more error than without it"
+        notes[name] = f"within its uncertainty the error is {100 * (harm[name] - 1):.2g} % larger than without it"
 
 
 def _note_on_phase(axis: Axis, name: str) -> str:
-    """Return a note where a parameter of the effect ``name`` belongs to one record; empty otherwise."""
+    """Return a note if a parameter of the effect ``name`` belongs to one record, else ""."""
     entry = dict(named_effects(axis)).get(name)
     return PER_RECORD if entry is not None and any(p.per_record for p in entry.effect.parameters) else ""
 
 
 def _worst(trial: Trial, terms: tuple[str, ...], mismatch: float, phase_deg: float, only: str | None = None) -> float:
-    """Rms tracking error with all parameters of ``terms`` (of ``only``) wrong, each with its more harmful sign."""
+    """Rms tracking error with all parameters of ``terms`` (of ``only``) wrong, each with the less favourable sign."""
     wrong = ahead = FeedForward.of(trial.axis, terms)
     for change in _changes(ahead, mismatch, phase_deg, only):
         sides = [change(side, ahead) for side in (1.0, -1.0)]
@@ -353,28 +358,28 @@ def _worst(trial: Trial, terms: tuple[str, ...], mismatch: float, phase_deg: flo
 
 
 def _changes(ahead: FeedForward, mismatch: float, phase_deg: float, only: str | None) -> list[Any]:
-    """Return one function per parameter of ``ahead``: of a sign and a feed-forward, which it returns with the error."""
+    """Return one function per parameter of ``ahead``: it applies an error of a given sign to a feed-forward."""
     changes: list[Any] = []
-    wanted = ahead.terms if only is None else (only,)
+    terms = ahead.terms if only is None else (only,)
     phase = math.radians(phase_deg)
 
     def factor(side: float) -> float:
         return 1.0 + side * mismatch
 
     for name, at in BASELINE.items():
-        if name in wanted:
+        if name in terms:
             changes.append(lambda side, nominal, at=at: _with_baseline(nominal, at, factor(side)))
-    if ahead.back_emf and "viscous" in wanted:
+    if ahead.back_emf and "viscous" in terms:
         changes.append(lambda side, nominal: replace(nominal, back_emf=nominal.back_emf * factor(side)))
     for place, (name, entry) in enumerate(named_effects(ahead.axis)):
-        for at, parameter in enumerate(entry.effect.parameters if name in wanted else ()):
+        for at, parameter in enumerate(entry.effect.parameters if name in terms else ()):
             if parameter.discrete or parameter.name == entry.effect.repeats:
                 continue
             if parameter.unit == "rad":
                 changes.append(lambda side, nominal, p=place, at=at: _with_parameter(nominal, p, at, 1.0, side * phase))
             else:
                 changes.append(lambda side, nominal, p=place, at=at: _with_parameter(nominal, p, at, factor(side)))
-    if LEAD in wanted:
+    if LEAD in terms:
         changes.append(lambda side, nominal: replace(nominal, late=nominal.late * factor(side)))
     return changes
 

@@ -1,16 +1,16 @@
-"""Crossover, margins, bandwidth and damping of each loop of the controller in an axis file, and of the whole.
+"""Crossover, margins, bandwidth and damping of each loop of the controller in an axis file, and of the whole loop.
 
-They are those of the sampled loop as the drive runs it, and of its continuous limit with every lag of the axis. The
+They are given for the sampled loop, as the drive runs it, and for its continuous limit with all lags of the axis. The
 velocity loop is broken at the plant input with the position loop open, the position loop at the position error with the
-velocity loop closed, the whole at the plant input, where a delay or a current loop acts. Natural frequency ``|s|`` and
-damping ``-Re s / |s|`` are those of the least damped pole of the closed loop (``s = ln(z) / T`` if sampled) that is not
-far above crossover and bandwidth; a real pole has a damping of 1.
+velocity loop closed, the whole loop at the plant input, where a delay or a current loop acts. Natural frequency ``|s|``
+and damping ``-Re s / |s|`` are those of the least damped pole of the closed loop (``s = ln(z) / T`` if sampled) that is
+not far above crossover and bandwidth; a real pole has a damping of 1.
 
-:class:`ContinuousLoop` is a loop in the limit of ever faster sampling: the law without hold or estimator, the plant
-with all its lags. The law's own kernel is set up for periods far below the axis's and extrapolated to zero
-(Richardson), so every law has this limit, a user's too, without a second formula. What remains are the lags of the
-axis: current loop, computation delay, lags and delays among its effects. With ``u = F(s) r + H(s) q`` for the law and
-``q = P(s) u`` for the plant the loop is
+:class:`ContinuousLoop` is the limit of a loop for fast sampling: the law without hold and estimator, the plant with all
+its lags. The kernel of the law is evaluated for periods far below that of the axis and extrapolated to zero
+(Richardson), so every law has this limit, also a user's, without a second formula. The lags of the axis remain: current
+loop, computation delay, lags and delays of the effects. With ``u = F(s) r + H(s) q`` for the law and ``q = P(s) u`` for
+the plant the loop is
 
     -H P                          broken at the plant input
     F P / (1 - (F + H) P)         broken at the position error
@@ -85,15 +85,15 @@ ROWS: tuple[Row, ...] = (
     ("natural frequency", "natural_frequency", "rad/s", 1.0),
     ("damping", "damping", "", 1.0),
 )
-FOLLOWED = ("position", "velocity", "")  # the last: a velocity loop alone, with its error at the plant input
-FAR = 5.0  # times the larger of crossover and bandwidth: faster poles do not count as the loop's own
-_REFERENCE, _POSITION = 0, 1  # places among the inputs of a law
+FOLLOWED = ("position", "velocity", "")  # references with a bandwidth; "": a velocity loop without its own reference
+FAR = 5.0  # poles faster than this factor on crossover and bandwidth do not count for natural frequency and damping
+_REFERENCE, _POSITION = 0, 1  # indices of the inputs of a law
 
-SHORTER = (1e-3, 5e-4, 2.5e-4)  # of the period, at which the law is set up
-WEIGHTS = (1.0 / 3.0, -2.0, 8.0 / 3.0)  # of these three in their limit: errors of h and h^2 cancel
+SHORTER = (1e-3, 5e-4, 2.5e-4)  # periods for the extrapolation, as shares of the axis's period
+WEIGHTS = (1.0 / 3.0, -2.0, 8.0 / 3.0)  # of these three in the limit: errors of order h and h^2 cancel
 HIGHEST = 30.0  # upper end of the frequency grid, in Nyquist frequencies
-STARTS, MOST_DELAY = 16, 100  # samples per period and largest delay in samples of the loop that gives initial poles
-SLOWEST = 8  # poles that are refined
+STARTS, MOST_DELAY = 16, 100  # samples per period, and largest delay in samples, of the loop for the initial poles
+SLOWEST = 8  # number of poles that are refined
 
 LawAt = Callable[[float], LinearLaw]  # the linear form of a law at a period [s]
 
@@ -104,7 +104,7 @@ class LoopMargins:
 
     ``bandwidth`` is None if the loop has no reference or its response never falls by 3 dB. ``velocity_error`` has the
     margins with the loop broken there, if they differ from those at the plant input, as for a law with its proportional
-    part on the velocity alone; ``continuous`` is the same loop in the limit of ever faster sampling.
+    part on the velocity only; ``continuous`` is the limit of the same loop for fast sampling.
     """
 
     broken: str
@@ -148,9 +148,9 @@ Loops = dict[str, LoopMargins | None]
 
 @dataclass(frozen=True)
 class ControllerMargins(Viewed):
-    """The ``loops`` of the controller of ``axis`` by name, None for those it does not have.
+    """The ``loops`` of the controller of ``axis`` by name, None for loops that it does not have.
 
-    ``others`` are the same for the other machines of a load range or mismatch, each with its differences from the axis;
+    ``others`` are the loops on the other plants of a load range or mismatch, each with its differences from the axis;
     the effects are linearised at ``velocity`` [m/s].
     """
 
@@ -162,7 +162,7 @@ class ControllerMargins(Viewed):
 
     @cached_property
     def worst(self) -> NestedLoop:
-        """The loop with the smallest margins, over all machines."""
+        """The loop with the smallest margins, over all plants."""
         return worst_loop(
             NestedLoop(f"{name} loop", loop.broken, loop.margins, where)
             for where, loops in (({}, self.loops), *self.others)
@@ -172,7 +172,7 @@ class ControllerMargins(Viewed):
 
     @property
     def stable(self) -> bool:
-        """Whether every loop is stable, on every machine."""
+        """Whether every loop is stable on every plant."""
         return self.worst.margins.stable
 
     @property
@@ -201,31 +201,31 @@ class ControllerMargins(Viewed):
         return {**document, "warnings": list(self.warnings)}
 
     def view(self) -> View:
-        """The verdict, each loop sampled and continuous, and each on every machine."""
+        """The verdict, the margins of each loop, sampled and continuous, and on the other plants."""
         verdict, style = ("stable", "good") if self.stable else ("UNSTABLE", "bad")
         loops = {f"{name} loop": loop for name, loop in self.loops.items() if loop is not None}
         continuous = {name: loop.continuous for name, loop in loops.items() if loop.continuous is not None}
         units = self.axis.units
         return (
-            Line(f"{self.axis.name}: the loops of its {self.axis.controller.kind} controller are {verdict}", style),
+            Line(f"{self.axis.name}: the loops of the {self.axis.controller.kind} controller are {verdict}", style),
             Line(worst_in_words(self.worst.to_dict(), units)),
             _side_by_side(loops, "Sampled, as the drive runs it"),
-            _side_by_side(continuous, "Continuous, with every lag of the axis"),
+            _side_by_side(continuous, "Continuous, with all lags of the axis"),
             *([self._on_every_machine(list(loops))] if self.others else []),
             *(Line(warning, "note") for warning in self.warnings),
         )
 
     def _on_every_machine(self, names: list[str]) -> Table:
-        """Phase and gain margin of the loops ``names`` on every other machine."""
+        """Phase and gain margin of the loops ``names`` on the other plants."""
         rows = [
             (where_in_words(where, self.axis.units), *(_in_short(loop) for loop in loops.values() if loop))
             for where, loops in self.others
         ]
-        return Table(("", *names), rows, "On every machine asked about: phase margin, gain margin")
+        return Table(("", *names), rows, "On the other plants: phase margin, gain margin")
 
 
 def _side_by_side(loops: Mapping[str, LoopMargins], title: str) -> Table:
-    """The margins of ``loops`` by name; a delay in samples is that of sampled loops."""
+    """The margins of ``loops``, one column each; the delay margin in samples exists for sampled loops only."""
     columns = [{**loop.margins.to_dict(), **loop.to_dict()} for loop in loops.values()]
     rows = [("broken at the", *(loop["broken"] for loop in columns), "")]
     for label, key, unit, scale in ROWS:
@@ -256,8 +256,8 @@ def controller_margins(
 ) -> ControllerMargins:
     """Return crossover, margins, bandwidth and damping of each loop of the controller of ``axis`` and of the whole.
 
-    ``mismatch`` adds every corner of that relative error of mass, viscous friction and force gain, ``load`` the
-    machines of a :class:`~emps_design.control.velocity.load_range.LoadRange`. The effects of the axis are linearised at
+    ``mismatch`` adds every corner of that relative error of mass, viscous friction and force gain, ``load`` the plants
+    of a :class:`~emps_design.control.velocity.load_range.LoadRange`. The effects of the axis are linearised at
     ``velocity`` [m/s], and in the other direction too. Raises :class:`~emps_design.errors.AxisError` if the axis has no
     controller.
 
@@ -286,7 +286,7 @@ def controller_margins(
 
 
 def loops_around(axis: Axis, plant: SampledPlant, velocity: float = 0.1, continuous: bool = False) -> Loops:
-    """Return the loops of the controller of ``axis`` by the names :data:`LOOPS`, around any sampled ``plant``."""
+    """Return the loops of the controller of ``axis`` around any sampled ``plant``, by the names :data:`LOOPS`."""
     margins: Loops = dict.fromkeys(LOOPS)
     for name, (follows, law) in _laws(axis, float(np.sign(velocity))).items():
         loop = _sampled(law(plant.period), plant, name, follows)
@@ -296,7 +296,10 @@ def loops_around(axis: Axis, plant: SampledPlant, velocity: float = 0.1, continu
 
 
 def _laws(axis: Axis, direction: float) -> dict[str, tuple[str, LawAt]]:
-    """Return by loop what it follows and its law at any period; a position loop reads the position error alone."""
+    """Return for each loop its kind of reference, and its law as a function of the period [s].
+
+    A position loop is a law that reads the position error only.
+    """
     period = axis.sampling.period
     law, kind = law_of(axis, period), get_law(axis.controller.kind)
     loops: dict[str, tuple[str, LawAt]] = {}
@@ -315,16 +318,16 @@ def _laws(axis: Axis, direction: float) -> dict[str, tuple[str, LawAt]]:
     elif law.follows == "velocity":
         loops["velocity"] = law.follows, whole
     elif law.follows == "position":
-        error_alone = not _reads_position(_velocity_alone(whole(period)))
-        if kind.state_feedback and not error_alone:
-            loops["velocity"] = "", lambda h: _velocity_alone(whole(h))
-        if kind.state_feedback or error_alone:
+        error_only = not _reads_position(_velocity_feedback(whole(period)))
+        if kind.state_feedback and not error_only:
+            loops["velocity"] = "", lambda h: _velocity_feedback(whole(h))
+        if kind.state_feedback or error_only:
             loops["position"] = law.follows, whole
     return {**loops, "whole": (law.follows, whole)}
 
 
-def _velocity_alone(form: LinearLaw) -> LinearLaw:
-    """``form`` of a law of position error and velocity with the position error held at zero: its velocity feedback."""
+def _velocity_feedback(form: LinearLaw) -> LinearLaw:
+    """The velocity feedback of a law of position error and velocity: ``form`` with the position error held at zero."""
     B, D = form.B.copy(), form.D.copy()
     for columns in (B, D):
         columns[..., _POSITION] += columns[..., _REFERENCE]
@@ -388,8 +391,8 @@ def _loop_margins(
 ) -> LoopMargins:
     """The loop ``name`` of a law: its ``margins``, its bandwidth, and the least damped of its ``poles`` [1/s].
 
-    ``grid`` [rad/s] brackets the -3 dB of the ``closed`` loop's response to what the law ``follows``. The margins
-    ``at_velocity_error`` are there if they differ.
+    ``grid`` [rad/s] brackets the -3 dB frequency of the ``closed`` loop's response to the reference that the law
+    ``follows``. The margins ``at_velocity_error`` are included if they differ.
     """
     bandwidth = _minus_3_db(closed, grid) if margins.stable and follows in FOLLOWED else None
     error = None
@@ -432,7 +435,7 @@ def _velocity_error(loop: SampledLoop, form: LinearLaw, plant: SampledPlant) -> 
 class ContinuousLoop:
     """The loop of a law, given as ``law`` at any period [s], around ``plant`` with an additional ``delay`` [s].
 
-    ``period`` [s] is the axis's own and scales the frequency grid.
+    ``period`` [s] is that of the axis and scales the frequency grid.
     """
 
     law: LawAt
@@ -512,7 +515,7 @@ class ContinuousLoop:
             step = 1e-6 * max(abs(s), 1e-9 / self.period)
             try:
                 here, beside = 1.0 + self.at_plant_input(np.array([s, s + step]))
-            except np.linalg.LinAlgError:  # a pole of law or plant alone, which the loop does not have
+            except np.linalg.LinAlgError:  # a pole of the law or the plant, not of the loop
                 return None
             change = here * step / (here - beside) if here != beside else 0.0
             s += change
@@ -524,7 +527,7 @@ class ContinuousLoop:
 
 
 def _response(form: LinearLaw, period: float, s: np.ndarray, place: int) -> np.ndarray:
-    """Command over the input at ``place`` of a law at ``s`` [1/s]; with several rates the mean over a cycle."""
+    """Command over the input ``place`` of a law at ``s`` [1/s]; with several rates the mean over a cycle."""
     s = np.asarray(s, dtype=complex)
     matrices = form.A, form.B[..., place], form.C, form.D[..., place]
     if form.cycle == 1:

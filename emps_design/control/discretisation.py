@@ -4,8 +4,8 @@ The voltage computed at sample k is held over [t_k + delay, t_k+1 + delay), wher
 samples plus the delays of the axis's effects, fractions of a sample included. The velocity is estimated from the
 increments of the encoder's position q by the law's :mod:`~emps_design.laws.estimators`.
 
-A frequency grid must resolve resonances of the plant and notches of the law: one that steps over a narrow peak gives
-wrong margins. A peak is a frequency [rad/s] and a damping ratio, half its relative width; in the z plane it belongs to
+A frequency grid must resolve resonances of the plant and notches of the law: a grid that misses a narrow peak gives
+wrong margins. A peak is a frequency [rad/s] and a damping ratio, half its relative width. In the z plane it belongs to
 a root ``z = exp((-damping w + j w) T)`` close to the unit circle.
 """
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     import control
 
 Peaks = Sequence[tuple[float, float]]
-BROAD = 0.5  # damping ratio above which any grid is fine enough
-NARROWEST = 1e-6  # least damping ratio for which the grid is refined
+BROAD = 0.5  # damping ratio above which the grid is not refined
+NARROWEST = 1e-6  # damping ratio for the narrowest refinement
 BESIDE_CENTRE = 1e-9  # relative distance of a grid point from the centre, where an undamped peak is infinite
 
 
@@ -52,13 +52,13 @@ def peaks_of_roots(roots: np.ndarray, period: float) -> Peaks:
     >>> [(round(w, 6), round(z, 6)) for w, z in peaks_of_roots(np.exp(np.array([-0.01 + 0.2j, -0.01 - 0.2j])), 1e-3)]
     [(200.0, 0.05)]
     """
-    turning = [complex(z) for z in np.ravel(roots) if z.imag > 0.0]
-    sizes = [(float(np.angle(z)), float(abs(np.log(abs(z))))) for z in turning]
-    return sorted((angle / period, away / angle) for angle, away in sizes if away < BROAD * angle)
+    upper = [complex(z) for z in np.ravel(roots) if z.imag > 0.0]
+    sizes = [(float(np.angle(z)), float(abs(np.log(abs(z))))) for z in upper]
+    return sorted((angle / period, decay / angle) for angle, decay in sizes if decay < BROAD * angle)
 
 
 def filter_peaks(filters: Iterable[Filter], period: float) -> Peaks:
-    """Peaks of sampled ``filters``, from poles and zeros; those of a notch's zeros are narrower by its depth.
+    """Peaks of sampled ``filters``, from poles and zeros; the zeros of a notch are narrower by its depth.
 
     >>> notch = Filter(kind="notch", frequency=50.0, damping=0.1, depth=0.1)
     >>> [(round(w, 1), round(z, 3)) for w, z in filter_peaks([notch], 1e-3)]  # 2/T atan(pi f T) = 311.6 rad/s
@@ -73,7 +73,7 @@ def filter_peaks(filters: Iterable[Filter], period: float) -> Peaks:
 
 
 def law_peaks(law: LinearLaw, period: float) -> Peaks:
-    """Peaks of any law from position to command, including its notches; at several rates those of the fastest."""
+    """Peaks of any law from position to command, including its notches; with several rates at the fastest one."""
     A, B, C, D = (x if law.cycle == 1 else x[-1] for x in (law.A, law.B[..., 1], law.C, law.D[..., 1]))
     peaks = [*peaks_of_roots(np.linalg.eigvals(A), period)]
     if D != 0.0:
@@ -102,7 +102,8 @@ class SampledPlant:
     ``linear`` is the continuous plant it came from. Arrays may have leading axes, for many plants at once.
 
     ``filters`` are those at the law's output, see :mod:`emps_design.laws.library.cascade`. Responses and polynomials
-    include them, so that gains can be chosen for both; the states do not: a closed loop takes them from the law.
+    include them, so that gains can be designed for plant and filters; the states do not, since a closed loop takes them
+    from the law.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2019"))
@@ -133,26 +134,26 @@ class SampledPlant:
         return np.all(self.Phi[..., :, POSITION] == np.eye(self.Phi.shape[-1])[POSITION], axis=-1)
 
     @cached_property
-    def kept(self) -> np.ndarray:
+    def acting(self) -> np.ndarray:
         """Indices of the states that act on the increments: all, or all but a purely integrating position."""
         return np.arange(1 if self.integrates else 0, self.C.size)
 
     @cached_property
     def polynomials(self) -> tuple[np.ndarray, np.ndarray]:
         """Numerator and denominator in z, highest power first, of u -> velocity estimate, all delays included."""
-        numerator, denominator = self._own_polynomials
+        numerator, denominator = self._plant_polynomials
         for section in self.filters:
             b, a = filter_polynomials(section, self.period)
             numerator, denominator = np.polymul(numerator, b), np.polymul(denominator, a)
         return numerator, denominator
 
     @cached_property
-    def _own_polynomials(self) -> tuple[np.ndarray, np.ndarray]:
-        """The polynomials of the plant alone."""
+    def _plant_polynomials(self) -> tuple[np.ndarray, np.ndarray]:
+        """The :attr:`polynomials` without the filters."""
         row, d0, d1 = self.increment
-        Phi = self.Phi[np.ix_(self.kept, self.kept)]
-        row, G0, G1 = row[self.kept], self.G0[self.kept], self.G1[self.kept]
-        size = self.kept.size
+        Phi = self.Phi[np.ix_(self.acting, self.acting)]
+        row, G0, G1 = row[self.acting], self.G0[self.acting], self.G1[self.acting]
+        size = self.acting.size
         # Faddeev-LeVerrier: the adjugate of (z I - Phi) without differences of nearly equal polynomials.
         adjugate, powers, newer, older = np.eye(size), [1.0], [d0], [d1]
         for power in range(1, size + 1):
@@ -181,7 +182,7 @@ class SampledPlant:
     def response(self, w: np.ndarray) -> np.ndarray:
         """Frequency response from voltage to velocity estimate [(m/s)/V] at ``w`` [rad/s], below Nyquist."""
         z = np.exp(1j * np.asarray(w) * self.period)
-        numerator, denominator = self._own_polynomials
+        numerator, denominator = self._plant_polynomials
         return self.filter_response(w) * np.polyval(numerator, z) / np.polyval(denominator, z)
 
     def filter_response(self, w: np.ndarray) -> np.ndarray:
@@ -191,7 +192,7 @@ class SampledPlant:
     def to_ss(self) -> control.StateSpace:
         """The plant as a discrete ``control.StateSpace`` from voltage and held force to encoder and velocity.
 
-        Delays are included as states that hold past voltages.
+        Delays are included as states of past voltages.
         """
         import control
 
@@ -214,10 +215,10 @@ class SampledPlant:
         import control
 
         names = {"inputs": ["voltage"], "outputs": ["velocity_estimate"], "name": "plant"}
-        return control.tf(*self._own_polynomials, self.period, **names)
+        return control.tf(*self._plant_polynomials, self.period, **names)
 
     def delayed(self, delay: float) -> SampledPlant:
-        """Return the plant with an additional ``delay`` [s] of the voltage, any fraction of a sample."""
+        """Return the plant with an additional ``delay`` [s] of the voltage, not necessarily whole samples."""
         return self.sampling(replace(self.linear, delay=self.linear.delay + delay))
 
     def sampling(self, linear: LinearPlant) -> SampledPlant:
@@ -227,37 +228,37 @@ class SampledPlant:
 
     @property
     def _program_delay(self) -> int:
-        """Whole samples of delay besides the delay of the continuous plant."""
+        """Whole samples of delay in addition to the delay of the continuous plant."""
         return self.delay - int(_whole_and_fraction(self.linear.delay, self.period)[0])
 
     def delayed_response(self, w: np.ndarray, delay: np.ndarray) -> np.ndarray:
         """:meth:`response` with an additional ``delay`` [s], exact between whole samples: (m,), (m,) -> (m,).
 
-        A delay of whole samples shifts the phase alone. A fraction of a sample changes the magnitude too, since the
+        A delay of whole samples changes the phase only. A fraction of a sample changes the magnitude too, since the
         held voltage then changes between the samples (modified z-transform).
         """
         whole, fraction = _whole_and_fraction(self.linear.delay + np.asarray(delay), self.period)
         newer, older = _inputs_within_period(self.linear, fraction, self.period)
         z = np.exp(1j * np.asarray(w) * self.period)
         row, _, _ = self.increment
-        matrices = z[..., None, None] * np.eye(self.kept.size) - self.Phi[np.ix_(self.kept, self.kept)]
-        states = np.linalg.solve(matrices, (newer + older / z[..., None])[..., self.kept, None])[..., 0]
-        increments = states @ row[self.kept] + newer @ self.C + (older @ self.C) / z
+        matrices = z[..., None, None] * np.eye(self.acting.size) - self.Phi[np.ix_(self.acting, self.acting)]
+        states = np.linalg.solve(matrices, (newer + older / z[..., None])[..., self.acting, None])[..., 0]
+        increments = states @ row[self.acting] + newer @ self.C + (older @ self.C) / z
         estimate = estimator_response(self.estimator, w, self.period) / self.period
         return self.filter_response(w) * increments * estimate / z ** (self._program_delay + whole + 1.0)
 
     def state_response(self, w: np.ndarray) -> np.ndarray:
         """Frequency response from voltage to every state of ``linear`` at ``w`` [rad/s], shape (*w.shape, n_states)."""
         z = np.exp(1j * np.asarray(w) * self.period)[..., None]
-        acting = (self.G0 + self.G1 / z) * z**-self.delay
+        inputs = (self.G0 + self.G1 / z) * z**-self.delay
         matrices = z[..., None] * np.eye(self.C.size) - self.Phi
-        return np.linalg.solve(matrices, acting[..., None])[..., 0]
+        return np.linalg.solve(matrices, inputs[..., None])[..., 0]
 
     def frequencies(self, count: int = 400, peaks: Peaks = ()) -> np.ndarray:
         """Return a frequency grid [rad/s] from 1e-5 of the Nyquist frequency to just below it.
 
-        It is refined at resonances of the plant and of its inner states, at filters, and at additional ``peaks`` such
-        as those of a law, by the width of each.
+        It is refined at resonances of the plant and of its inner states, at filters, and at additional ``peaks``, such
+        as those of a law.
         """
         nyquist = math.pi / self.period
         low = np.geomspace(1e-5 * nyquist, 0.05 * nyquist, count // 2, endpoint=False)
@@ -274,7 +275,7 @@ class SampledPlant:
 
     def resonance_beside(self, w: float) -> float | None:
         """Frequency [rad/s] of the resonance nearest to ``w`` [rad/s], None if it is not within :data:`BESIDE`."""
-        ratios = [(max(w / own, own / w), own) for own, _ in self.resonances]
+        ratios = [(max(w / resonance, resonance / w), resonance) for resonance, _ in self.resonances]
         ratio, nearest = min(ratios, default=(math.inf, None))
         return nearest if ratio < BESIDE else None
 
@@ -296,8 +297,8 @@ def sample_plant(
     growth = float(np.max(np.linalg.eigvals(linear.A).real)) * period if linear.A.ndim == 2 else 0.0
     if growth > 50.0:
         raise InputError(
-            f"period: found {period:g} s, in which the unstable plant grows e^{growth:.3g} times; expected a period "
-            "that the plant's own motion fits in"
+            f"period: found {period:g} s, in which the unstable plant grows by a factor of e^{growth:.3g}; expected a "
+            "shorter period"
         )
     whole, fraction = _whole_and_fraction(linear.delay, period)
     Phi, (now, H) = _zero_order_hold(linear.A, (linear.B, linear.E), period)
@@ -353,7 +354,7 @@ def filter_response(filters: Iterable[Filter], w: np.ndarray, period: float) -> 
 
 
 def expm(matrices: np.ndarray) -> np.ndarray:
-    """Exponential of small square matrices (..., n, n) by Taylor's series, scaled and squared; scipy is slow to start.
+    """Exponential of small square matrices (..., n, n) by a Taylor series, scaled and squared, without importing scipy.
 
     >>> expm(np.array([[0.0, 2.0], [0.0, 0.0]])).tolist()
     [[1.0, 2.0], [0.0, 1.0]]
@@ -371,7 +372,7 @@ def expm(matrices: np.ndarray) -> np.ndarray:
 
 
 def _whole_and_fraction(delay: Any, period: float) -> tuple[Any, Any]:
-    """Whole samples of a ``delay`` [s], and the rest of it [s]; rounding makes no fraction."""
+    """Whole samples of a ``delay`` [s], and the remainder [s]; rounding errors do not count as a remainder."""
     samples = np.asarray(delay) / period
     whole = np.floor(samples + 1e-9)
     rest = np.where(samples - whole < 1e-9, 0.0, samples - whole) * period
@@ -392,7 +393,7 @@ def _zero_order_hold(A: np.ndarray, inputs: tuple[np.ndarray, ...], time: Any) -
     augmented = np.zeros((*shape, size + len(inputs), size + len(inputs)))
     augmented[..., :size, :size] = A * time[..., None, None]
     largest = float(np.abs(A).max())
-    scales = [float(np.abs(b).max()) / largest or 1.0 for b in inputs]  # a large b would only cost squarings
+    scales = [float(np.abs(b).max()) / largest or 1.0 for b in inputs]  # a large b would cost more squarings
     for i, (b, scale) in enumerate(zip(inputs, scales, strict=True)):
         augmented[..., :size, size + i] = b / scale * time[..., None]
     exponential = expm(augmented)

@@ -1,18 +1,19 @@
 """The force loop of Fig. 4 around the velocity loop, (10) and (11), and the largest stable force gain.
 
-The limit of the force gain is a closed form for the continuous loop, and a search on the poles for the sampled one.
+The limit of the force gain follows from a closed form for the continuous loop, and from a search on the poles for the
+sampled loop.
 
 The measured force sets the velocity: r = k_e1 (tau_ref + tau_e). The operator's force is the response to the motion,
 
     tau_e = -(k_h + K_env / s) qd        k_h: viscous hand [N/(m/s)], K_env: stiffness of a wall [N/m]
 
-positive when it pushes towards +q, so a passive operator closes a negative feedback. The loop gain is
-k_e1 (k_h + K_env/s) T_v(s) with T_v from velocity reference to velocity. The same force also acts on the carriage,
-where the velocity loop resists it: qd = T_vc r + T_IP s tau_e / K_v with T_IP the T_vc of (8) for every structure: the
-zero of PI is in the first term alone. The paper neglects the second term (``on_carriage=False``).
+positive towards +q, so a passive operator closes a negative feedback. The loop gain is k_e1 (k_h + K_env/s) T_v(s) with
+T_v from velocity reference to velocity. The same force also acts on the carriage, where the velocity loop resists it:
+qd = T_vc r + T_IP s tau_e / K_v, with T_IP the T_vc of (8) for every structure; the zero of PI is in the first term
+only. The paper neglects the second term (``on_carriage=False``).
 
-In the paper's own formulation tau_e = +k_c qd with k_c = 1/k_e1 is both reference and result; then T_eo = T_vc and the
-closed loop T/(1 - T) is positive feedback with a pole at s = 0: not stable, and no statement about an operator.
+In the paper's formulation tau_e = +k_c qd with k_c = 1/k_e1 is both reference and result. Then T_eo = T_vc, and the
+closed loop T/(1 - T) is positive feedback with a pole at s = 0: it is not stable, and says nothing about an operator.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ def largest_force_gain(
     """Return the k_e1 [(m/s)/N] at which the continuous force loop becomes unstable (Routh); None: never.
 
     ``omega_0v`` [rad/s], ``z_v``, ``K_v`` [N/m] of (8), (9); ``hand`` [N/(m/s)], ``environment`` [N/m]. For a wall
-    alone 2 z_v w_0v / K_env, times (1 + K_env/K_v) if the force also acts on the carriage. ``zero`` [s] is that of
-    T_vc, t_v of a PI loop: its lead adds damping, so there may be no limit.
+    without a hand it is 2 z_v w_0v / K_env, times (1 + K_env/K_v) if the force also acts on the carriage. ``zero`` [s]
+    is that of T_vc, t_v of a PI loop: its lead adds damping, so there may be no limit.
 
     >>> round(largest_force_gain(141.42, 0.61237, 2.3146e6, environment=1e4, on_carriage=False), 6)
     0.01732
@@ -85,7 +86,10 @@ def largest_force_gain(
 
 
 def first_instability(stable: Callable[[np.ndarray], np.ndarray], start: float) -> float | None:
-    """Smallest gain with ``stable`` false, a function of many gains at once; None above 1e9 ``start``, 0.0 at once."""
+    """Smallest unstable gain; None if it is above 1e9 ``start``, 0.0 if every gain is unstable.
+
+    ``stable(gains)`` (n,) -> (n,) evaluates many gains at once.
+    """
     low, high = 0.0, start
     while bool(np.all(verdicts := stable(grid := high * 1.15 ** np.arange(16.0)))):
         low, high = float(grid[-1]), float(grid[-1]) * 1.15
@@ -102,7 +106,7 @@ def first_instability(stable: Callable[[np.ndarray], np.ndarray], start: float) 
 
 @dataclass(frozen=True)
 class ForceLoopDesign(Viewed):
-    """A force gain around a velocity loop, in contact with an operator: stability first, then margins and limits.
+    """A force gain around a velocity loop, in contact with an operator: stability, margins and limits.
 
     ``k_e1`` [(m/s)/N]; ``hand`` [N/(m/s)]; ``environment`` [N/m]; ``sensor_delay`` samples between force and its
     reading; ``on_carriage``: whether the operator's force also acts on the carriage (it does on a real machine).
@@ -124,7 +128,7 @@ class ForceLoopDesign(Viewed):
 
     @property
     def k_c(self) -> float:
-        """Viscous coefficient that the operator feels at low frequency, 1/k_e1 [N/(m/s)]."""
+        """Apparent damping at low frequency, 1/k_e1 [N/(m/s)]."""
         return 1.0 / self.k_e1
 
     @property
@@ -142,7 +146,7 @@ class ForceLoopDesign(Viewed):
 
     @property
     def k_e1_max_continuous(self) -> float | None:
-        """Largest k_e1 of the continuous loop [(m/s)/N], closed form; None without a limit."""
+        """Largest k_e1 of the continuous loop [(m/s)/N] by the closed form; None without a limit."""
         loop = self.velocity_loop
         return largest_force_gain(
             loop.omega_0v, loop.z_v, loop.K_v, self.hand, self.environment, self.on_carriage, self._zero
@@ -161,7 +165,7 @@ class ForceLoopDesign(Viewed):
         return plant.sampling(attached(plant.linear, self._operator))
 
     def sampled_loop(self, k_e1: float | np.ndarray | None = None) -> SampledLoop:
-        """The sampled closed loop at ``k_e1`` [(m/s)/N], this design's by default; its reference is a velocity.
+        """The sampled closed loop at ``k_e1`` [(m/s)/N], by default that of the design; its reference is a velocity.
 
         An array (m,) gives m loops.
         """
@@ -176,7 +180,7 @@ class ForceLoopDesign(Viewed):
 
     @property
     def continuous_poles(self) -> np.ndarray:
-        """Poles of the continuous closed loop [rad/s], without the free position's own at 0."""
+        """Poles of the continuous closed loop [rad/s], without the pole of a free position at 0."""
         loop, share = self.velocity_loop, 1.0 / self.velocity_loop.K_v if self.on_carriage else 0.0
         ahead = self.k_e1 * self._zero + share  # of the operator's force, by its rate of change
         cubic = [
@@ -195,30 +199,30 @@ class ForceLoopDesign(Viewed):
 
     @cached_property
     def k_e1_max_sampled(self) -> float | None:
-        """Largest k_e1 of the sampled loop [(m/s)/N], by bisection on its poles; None: no limit, 0: always unstable.
+        """Largest k_e1 of the sampled loop [(m/s)/N] by bisection on its poles; None: no limit, 0: always unstable.
 
-        With more than a hundred samples of delay poles take seconds: there the gain margin gives the limit.
+        With more than a hundred samples of delay the poles take seconds; then the gain margin gives the limit.
         """
         loop = self.velocity_loop
         start = 1e-3 / (self.hand + self.environment / loop.omega_0v) if self.hand + self.environment > 0.0 else 1.0
         if self._plant.delay + self.sensor_delay <= 100 or self.hand + self.environment == 0.0:
             return first_instability(lambda gains: self.sampled_loop(gains).radius <= 1.0 + ROUNDING, start)
-        gently = replace(self, k_e1=start)
-        if not gently.stable:
+        slow = replace(self, k_e1=start)
+        if not slow.stable:
             return 0.0
-        factor = gently.margins.gain_margin
+        factor = slow.margins.gain_margin
         return None if factor is None else start * factor
 
     @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
-        """The velocity loop without an operator and the force loop in contact; with effects, in both directions."""
-        ways: list[tuple[ForceLoopDesign, dict[str, float]]] = [(self, {})]
+        """The velocity loop without an operator and the force loop in contact; with effects in both directions."""
+        directions: list[tuple[ForceLoopDesign, dict[str, float]]] = [(self, {})]
         if self.velocity_loop.axis.effects:
             back = -self.velocity_loop.velocity
             loop = replace(self.velocity_loop, velocity=back)
-            ways.append((replace(self, velocity_loop=loop), {"velocity": back}))
+            directions.append((replace(self, velocity_loop=loop), {"velocity": back}))
         loops = []
-        for design, where in ways:
+        for design, where in directions:
             free = design.velocity_loop.sampled.margins
             loops.append(NestedLoop(VELOCITY_LOOP, PLANT_INPUT, free, where))
             loops.append(NestedLoop(FORCE_LOOP, VELOCITY_REFERENCE, design.margins, where))
@@ -233,7 +237,7 @@ class ForceLoopDesign(Viewed):
     def nearest_stable(self) -> dict[str, Any]:
         """A stable k_e1 [(m/s)/N] close to the limit, or the gain itself if it is stable; empty if none is stable.
 
-        If the velocity loop itself is unstable, the nearest specification that it can meet.
+        If the velocity loop itself is unstable, it is the nearest specification of that loop.
         """
         if not self.velocity_loop.sampled.stable:
             return self.velocity_loop.nearest_stable if self.velocity_loop.requested else {}
@@ -243,7 +247,7 @@ class ForceLoopDesign(Viewed):
 
     @property
     def reason(self) -> str:
-        """The reason why the design is refused, in one line; empty if every loop is stable."""
+        """The reason why the design must not run, in one line; empty if every loop is stable."""
         worst = self.worst
         if worst.margins.stable:
             return ""
@@ -252,14 +256,14 @@ class ForceLoopDesign(Viewed):
         if worst.name == VELOCITY_LOOP:
             nearest = f"; {self.velocity_loop.nearest_in_words}" if self.nearest_stable and not worst.where else ""
             where = where_in_words(worst.where, units)
-            return f"the sampled velocity loop is unstable by itself, without contact{where and ' '}{where}{nearest}"
+            return f"the sampled velocity loop is unstable without contact{where and ' '}{where}{nearest}"
         if worst.where:
             return f"the sampled {force} loop is unstable {where_in_words(worst.where, units)}"
         limit = self.k_e1_max_sampled
         return f"the sampled {force} loop is unstable; " + (
-            f"the largest k_e1 that is stable is {units.quantity(limit, '(m/s)/N', '.5g')}"
+            f"the largest stable k_e1 is {units.quantity(limit, '(m/s)/N', '.5g')}"
             if limit
-            else "no k_e1 is stable, the velocity loop inside needs less bandwidth"
+            else "no k_e1 is stable; reduce the bandwidth of the velocity loop"
         )
 
     def response(self, w: np.ndarray) -> np.ndarray:
@@ -277,7 +281,7 @@ class ForceLoopDesign(Viewed):
     def margins(self) -> Margins:
         """Margins of the sampled force loop broken at the velocity reference."""
         plant = self._plant
-        if self.hand + self.environment == 0.0:  # nothing closes the loop
+        if self.hand + self.environment == 0.0:  # the loop is open
             return Margins(stable=self.stable, period=plant.period)
         return loop_margins(self.response, plant.frequencies(), self.stable, plant.period)
 
@@ -290,8 +294,8 @@ class ForceLoopDesign(Viewed):
             "loop": "T_eo/(1 - T_eo) with T_eo = k_e1 k_c T_vc = T_vc, (11)",
             "static_gain": self.k_e1 * self.k_c,
             "poles": [[0.0, 0.0], [-(2.0 * loop.z_v - self._zero * loop.omega_0v) * loop.omega_0v, 0.0]],
-            "text": f"tau_e = +k_c qd counts the operator's {force} as reference and result at once: positive "
-            "feedback, a pole at s = 0; it says nothing about stability in contact",
+            "text": f"with tau_e = +k_c qd the operator's {force} is reference and result at the same time: positive "
+            "feedback with a pole at s = 0, which says nothing about stability in contact",
         }
 
     @property
@@ -303,20 +307,20 @@ class ForceLoopDesign(Viewed):
             text = f"the sampled {force} loop is unstable: largest pole {abs(self.poles[0]):.4g}"
             warnings.append(grave("force-loop-unstable", text, pole=abs(self.poles[0])))
         if not self.velocity_loop.sampled.stable:
-            text = "the sampled velocity loop inside it is unstable already, without contact"
+            text = "the inner velocity loop, sampled, is already unstable without contact"
             warnings.append(grave("inner-loop-unstable", text))
         if self.worst.where and not self.worst.margins.stable:
             text = f"the {loop_in_words(self.worst, self.velocity_loop.axis.units)} is unstable"
             warnings.append(grave("other-machine-unstable", text))
         if self.hand + self.environment == 0.0:
-            text = f"no operator: without a hand or an environment nothing closes the {force} loop"
+            text = f"no operator: without a hand or an environment the {force} loop is open"
             warnings.append(warning("no-operator", text))
         elif self.k_e1_max_continuous is None:
             text = "k_e1_max.continuous is unbounded: the continuous loop has no limit with this operator"
             warnings.append(note("continuous-limit-unbounded", text))
         if self.k_e1_max_sampled is None:
-            text = "k_e1_max.sampled is unbounded: no gain up to 1e9 times the loop's own scale is unstable"
-            # A loop that no gain makes unstable is not closed, or its model lacks what limits it.
+            text = "k_e1_max.sampled is unbounded: the loop is stable up to 1e9 times its characteristic gain"
+            # A loop that is stable with every gain is open, or its model lacks the limiting dynamics.
             warnings.append(grave("sampled-limit-unbounded", text))
         warnings += self._plant.linear.warnings
         loop = self.velocity_loop
@@ -331,7 +335,7 @@ class ForceLoopDesign(Viewed):
         return control.tf(loop, inputs=["force_error"], outputs=["force"], name="T_eo")
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON document, with the limits for a force on the sensor alone and on the carriage too."""
+        """The JSON document, with the limits for a force on the sensor only, and on sensor and carriage."""
         other = replace(self, on_carriage=not self.on_carriage)
         by_place = {place.on_carriage: place for place in (self, other)}
         limits = {
@@ -377,7 +381,7 @@ class ForceLoopDesign(Viewed):
         }
 
     def view(self) -> View:
-        """What ``force`` shows of it."""
+        """The lines and tables of the command ``force``."""
         return force_view(self.to_dict(), self.velocity_loop.axis.units)
 
 
@@ -392,8 +396,8 @@ def design_force_loop(
 ) -> ForceLoopDesign:
     """Return the force loop with gain ``k_e1`` [(m/s)/N] around ``velocity_loop``.
 
-    ``hand`` [N/(m/s)] and ``environment`` [N/m] are the operator's; :class:`InputError` for a gain that is not
-    positive, an operator that is not passive, or a negative ``sensor_delay`` [samples].
+    ``hand`` [N/(m/s)] and ``environment`` [N/m] describe the operator. Raises :class:`InputError` for a gain that is
+    not positive, an operator that is not passive, or a negative ``sensor_delay`` [samples].
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine

@@ -1,13 +1,13 @@
 """The plant linearised about steady motion: carriage, current loop and every effect.
 
-Each effect enters by its hooks, differentiated at one operating point: forces, dry friction, inertia, own states,
-actuator maps, sensor errors and delays. So every effect that ``diagnose`` adds to an axis is part of a design; what a
-slope cannot describe (play, steps in time, injected signals) is named in ``warnings``.
+Each effect enters by its hooks, differentiated at one operating point: forces, dry friction, inertia, states, actuator
+maps, sensor errors and delays. So every effect that ``diagnose`` adds to an axis is part of a design. Properties that a
+slope cannot describe (play, steps in time, injected signals) are named in ``warnings``.
 
 The operating point is steady motion at a velocity, from position 0 on. An effect that repeats along the travel (a
-ripple) counts with its mean over one repeat, so it is no spring; at a corner (a stop that is just touched) the flatter
-side counts. An actuator map is linearised at the command of the motion, or just inside its limit if it saturates; the
-command follows from the acting voltage through the inverse of the maps.
+ripple) counts with its mean over one period, so it is not a spring; at a corner (the contact point of a stop) the
+flatter side counts. An actuator map is linearised at the command of the motion, or just below its limit if it
+saturates; the command follows from the acting voltage through the inverse of the maps.
 
 States: carriage position and velocity, the states of the effects in their order, and the motor force if the current
 loop has a time constant. Inputs: voltage, and an external force on the carriage (+ pushes to +q). An
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 EDGE = 0.99  # share of the largest acting voltage at which a saturated map is linearised
 
-PLACES = 64  # along one repeat of an effect
-SETTLED = 2.0  # s of integration for own states whose equilibrium Newton's method does not reach
-CORNER = 1e-3  # relative difference of the slopes on either side of a place, above which it is a corner
+PLACES = 64  # positions along one period of an effect
+SETTLED = 2.0  # s of integration for states whose equilibrium Newton's method does not reach
+CORNER = 1e-3  # relative difference of the slopes on both sides above which a position is a corner
 
 POSITION, VELOCITY = 0, 1
 
@@ -78,18 +78,18 @@ class ActuatorMap:
         """The smallest command [V] that gives the ``acting`` voltage [V], up to the limit."""
         if not self.maps:
             return acting
-        wanted, side = abs(self.reach(acting)), -1.0 if acting < 0.0 else 1.0
+        target, side = abs(self.reach(acting)), -1.0 if acting < 0.0 else 1.0
         low, high = 0.0, self.limit
         for _ in range(100):
             middle = 0.5 * (low + high)
-            if abs(self.acting(side * middle)) < wanted:
+            if abs(self.acting(side * middle)) < target:
                 low = middle
             else:
                 high = middle
         return side * high
 
     def slope(self, acting: float) -> float:
-        """Change of the acting voltage with the command [V/V] at ``acting`` [V], or just inside the largest."""
+        """Change of the acting voltage with the command [V/V] at ``acting`` [V], or just below the largest."""
         if not self.maps:
             return 1.0
         side = -1.0 if acting < 0.0 else 1.0
@@ -97,7 +97,7 @@ class ActuatorMap:
         step = 1e-3 * (self.acting(side * self.limit) * side - inside)
         if step <= 0.0:
             return 0.0
-        # Away from zero, beyond a dead zone.
+        # On the side away from zero, outside a dead zone.
         near, far = (self.command(side * (inside + count * step)) for count in (1, 2))
         return step / abs(far - near)
 
@@ -113,10 +113,13 @@ class Member:
         self.places = np.arange(PLACES) / PLACES * self.repeat if effect.repeats else np.zeros(1)
 
     def settle(self, v: float, tau: float) -> None:
-        """Set the own states to their equilibrium at the operating point; keep the initial ones if there is none."""
+        """Set the states to their equilibrium at the operating point; they do not change if there is none."""
         if self.effect.rate is None:
             return
-        for begin in (lambda: self.x, lambda: self._after(SETTLED, v, tau)):  # a load within its play must move first
+        for begin in (
+            lambda: self.x,
+            lambda: self._after(SETTLED, v, tau),
+        ):  # a load within its play must move to contact first
             x = self._at_rest(begin(), v, tau)
             scale = np.abs(self._rate_jacobian(v, tau, x)) @ np.abs(x) + abs(v) + 1e-12
             self.settled = bool(np.all(np.isfinite(x)) and np.all(np.abs(self._rate(0.0, v, tau, x)) <= 1e-6 * scale))
@@ -125,7 +128,7 @@ class Member:
                 return
 
     def _at_rest(self, x: np.ndarray, v: float, tau: float) -> np.ndarray:
-        """Equilibrium of the own states (Newton's method from ``x``)."""
+        """Equilibrium of the states by Newton's method from ``x``."""
         for _ in range(50):
             step = np.linalg.lstsq(self._rate_jacobian(v, tau, x), -self._rate(0.0, v, tau, x), rcond=None)[0]
             x = x + step
@@ -134,17 +137,17 @@ class Member:
         return x
 
     def _after(self, seconds: float, v: float, tau: float) -> np.ndarray:
-        """Own states after ``seconds`` at the operating point."""
+        """States after ``seconds`` at the operating point."""
         from scipy.integrate import solve_ivp
 
         return solve_ivp(lambda t, x: self._rate(0.0, v, tau, x), (0.0, seconds), self.x, "LSODA", rtol=1e-6).y[:, -1]
 
     def force(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Resisting force of the effect while sliding [N], its mean over one repeat."""
+        """Resisting force [N] of the effect in motion, its mean over one period."""
         return float(np.mean([self.force_at(q + place, v, tau, x) for place in self.places]))
 
     def force_at(self, q: float, v: float, tau: float, x: np.ndarray) -> float:
-        """Resisting force of the effect while sliding at ``q`` [N]."""
+        """Resisting force [N] of the effect in motion at ``q`` [m]."""
         arguments = (q, v, 0.0, tau, x, self.p, self.b)
         total = self.effect.force(*arguments) if self.effect.force else 0.0
         if self.effect.dry:
@@ -182,7 +185,7 @@ class Member:
         )
 
     def rate_slopes(self, v: float, tau: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Partial derivatives of the rates of the own states by position, velocity, motor force and the states."""
+        """Partial derivatives of the rates of the states by position, velocity, motor force and the states."""
         return (
             _slope(lambda q: self._rate(q, v, tau, self.x), 0.0, 1e-6),
             _slope(lambda value: self._rate(0.0, value, tau, self.x), v, 1e-4 * abs(v)),
@@ -191,7 +194,7 @@ class Member:
         )
 
     def _over_position(self, function: Callable[[float], float]) -> float:
-        """Slope of ``function(q)`` [../m]: none where it repeats along the travel, the flatter side's at a corner."""
+        """Slope of ``function(q)`` [../m]: 0 if it repeats along the travel, at a corner that of the flatter side."""
         if self.repeat:
             return 0.0
         here, step = function(0.0), 1e-6
@@ -209,27 +212,27 @@ class Member:
         return float(np.max(np.abs(slopes)))
 
     def left_out(self, v: float, tau: float, units: Units) -> list[Message]:
-        """Messages on what the linearisation of this effect leaves out."""
+        """Messages on properties of this effect that its linearisation neglects."""
         effect, messages, speed = self.effect, [], units.quantity(v, "m/s", "g")
         name = effect.name
         if effect.solver.guard is not None or effect.solver.jump_time is not None:
-            text = f"{name}: not smooth, counted by its slope in steady motion at {speed} only"
+            text = f"{name}: not smooth; the linear design uses its slope in steady motion at {speed}"
             messages.append(warning("not-smooth", text, effect=name, velocity=v))
         if effect.command is not None:
-            text = f"{name}: a signal added to the {units.word('voltage')}, left out of the linear design"
+            text = f"{name}: adds a signal to the {units.word('voltage')}, which the linear design neglects"
             messages.append(warning("signal-left-out", text, effect=name))
         if not self.settled:
-            text = f"{name}: has no steady state at {speed}, linearised at its initial one"
+            text = f"{name}: has no steady state at {speed}; linearised at its initial state"
             messages.append(warning("no-steady-state", text, effect=name, velocity=v))
         if self.repeat:
             period = units.quantity(self.repeat, "m")
             where = f"{name}: repeats every {period}, {abs(v) / self.repeat:.4g} Hz at {speed}"
             at_place, unit, what = self.force_at, "N", "a disturbance of +-{}, not a spring"
             if effect.sensor is not None:
-                at_place, unit, what = self.sensor, "m", "an error of the reading of +-{}, not a gain"
+                at_place, unit, what = self.sensor, "m", "a measurement error of +-{}, not a gain"
             size = 0.5 * float(np.ptp([at_place(q, v, tau, self.x) for q in self.places]))
             what = what.format(units.quantity(size, unit, ".3g"))
-            text = f"{where}; its slope averages out there: in the linear design it is {what}"
+            text = f"{where}; its slope averages out: in the linear design it is {what}"
             messages.append(warning("slope-averages-out", text, effect=name, velocity=v, size=size))
         return messages
 
@@ -261,9 +264,9 @@ def _slope(function: Callable[[Any], Any], at: Any, step: Any) -> Any:
 class LinearPlant:
     """dx/dt = A x + B u(t - delay) + E f_ext, encoder reading C x; SI units.
 
-    ``state`` names the states, ``mass`` [kg] and ``viscous`` [N/(m/s)] are the carriage's own inertia and slope of
-    friction at the operating point, ``steepest`` [N/m] the largest slope over position of forces that average out along
-    the travel, ``warnings`` names what is left out. Arrays may have leading axes, for many plants at once.
+    ``state`` has the names of the states. ``mass`` [kg] and ``viscous`` [N/(m/s)] are inertia and slope of friction of
+    the carriage at the operating point, ``steepest`` [N/m] is the largest slope over position of forces that average
+    out along the travel, and ``warnings`` names the neglected properties. Arrays may have leading axes for many plants.
     """
 
     A: np.ndarray
@@ -281,8 +284,8 @@ class LinearPlant:
     def in_slow_motion(self) -> tuple[float, float]:
         """Total moving mass [kg] and slope of friction [N/(m/s)], with a load behind a coupling; for a single plant.
 
-        They are the coefficients of s and 1 in the force over the velocity of the carriage as a power series in s.
-        Forces that depend on position are left out.
+        They are the coefficients of s and 1 in the power series of force over velocity of the carriage. Forces that
+        depend on position are not included.
 
         >>> mass, slope = rigid_plant(2.0, 6.0).in_slow_motion
         >>> round(mass, 9), round(slope, 9)
@@ -291,14 +294,14 @@ class LinearPlant:
         A, E = self.A[VELOCITY:, VELOCITY:].copy(), self.E[VELOCITY:]
         more = float(self.mass)  # N/(m/s) of additional friction, for a plant without any
         A[0, 0] -= E[0] * more
-        moves = np.linalg.lstsq(A, E, rcond=None)[0]  # a load within its play does not move
-        speed, slower = -moves[0], -np.linalg.lstsq(A, moves, rcond=None)[0][0]
-        return float(-slower / speed**2), float(1.0 / speed - more)
+        constant = np.linalg.lstsq(A, E, rcond=None)[0]  # a load within its play does not move
+        speed, linear = -constant[0], -np.linalg.lstsq(A, constant, rcond=None)[0][0]
+        return float(-linear / speed**2), float(1.0 / speed - more)
 
     def to_ss(self) -> control.StateSpace:
         """The plant as a continuous ``control.StateSpace`` from voltage and force to encoder and velocity.
 
-        Its pure ``delay`` is not in it; that of :class:`~emps_design.control.discretisation.SampledPlant` has it.
+        It does not contain the ``delay``; that of :class:`~emps_design.control.discretisation.SampledPlant` does.
         """
         import control
 
@@ -340,7 +343,7 @@ def rigid_plant(
 def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     """Return the plant of ``axis`` linearised in steady motion at ``velocity`` [m/s], from position 0 on.
 
-    Away from zero velocity Coulomb friction is a constant and drops out. Raises :class:`InputError` at velocity 0.
+    In motion Coulomb friction is constant and drops out. Raises :class:`InputError` at velocity 0.
 
     >>> from emps_design.machines import machine
     >>> plant = linear_plant(machine("emps2019"))
@@ -350,7 +353,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     if not np.isfinite(velocity) or velocity == 0.0:
         raise InputError(
             f"velocity: found {axis.units.quantity(velocity, 'm/s', 'g')}, expected a number other than 0: friction "
-            "has no slope there"
+            "has no slope at standstill"
         )
     axis.units.check("velocity", velocity, "m/s")
     b, braking, members = axis.mechanics.array(), axis.drive.braking, list[Member]()
@@ -363,7 +366,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     gain, lag, shown = axis.drive.gain, axis.drive.current_time_constant, axis.units.quantity
     warnings: list[Message] = []
 
-    # Without the braking of a back-EMF: the effects read the force of the winding's current.
+    # Without the braking of a back-EMF, since the effects read the force of the winding current.
     tau = b[VISCOUS] * velocity + np.sign(velocity) * b[COULOMB] + b[OFFSET]
     for _ in range(20):  # the effects' forces need the motor force, which needs their forces
         for member in members:
@@ -384,14 +387,14 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     slope = gain * actuator.slope(needed)
     if slope == 0.0:
         kinds, command = " and ".join(actuator.names), axis.units.word("voltage")
-        raise InputError(f"effects: with {kinds} no {command} acts, expected one within the limit")
+        raise InputError(f"effects: with {kinds} the {command} has no effect within its limit, expected an effect")
     if abs(actuator.reach(needed)) < abs(needed):
         where = (
-            "linearised just inside that, where the loop can work" if actuator.maps else "the loop works when slower"
+            "linearised just below that, where the loop can work" if actuator.maps else "the loop works at lower speed"
         )
         text = (
             f"{' and '.join(actuator.names) or 'limit of the command'}: steady motion at "
-            f"{shown(velocity, 'm/s', 'g')} takes {shown(needed, 'V', '.3g')} and only "
+            f"{shown(velocity, 'm/s', 'g')} needs {shown(needed, 'V', '.3g')}, but at most "
             f"{shown(actuator.reach(needed), 'V', '.3g')} act; {where}"
         )
         warnings.append(grave("motion-beyond-limit", text, velocity=velocity, command=needed))
@@ -415,28 +418,28 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
     for member, first, size in zip(members, firsts, sizes, strict=True):
         if member.effect.solver.lag:
             continue
-        own = slice(first, first + size)
+        states = slice(first, first + size)
         mass += member.inertia(velocity, tau)
         d_q, d_v, d_tau, d_x = member.slopes(member.force, velocity, tau)
         drag[POSITION] += d_q
         drag[VELOCITY] += d_v - d_tau * braking
-        drag[own] += d_x
+        drag[states] += d_x
         drag_tau += d_tau
         if size:
             r_q, r_v, r_tau, r_x = member.rate_slopes(velocity, tau)
-            A[own, POSITION], A[own, VELOCITY] = r_q, r_v - r_tau * braking
-            A[own, own] += r_x
-            A[own, :] += np.outer(r_tau, force_row)
-            B[own] += r_tau * force_in
+            A[states, POSITION], A[states, VELOCITY] = r_q, r_v - r_tau * braking
+            A[states, states] += r_x
+            A[states, :] += np.outer(r_tau, force_row)
+            B[states] += r_tau * force_in
         s_q, s_v, _, s_x = member.slopes(member.sensor, velocity, tau)
         C[POSITION] += s_q
         C[VELOCITY] += s_v
-        C[own] += s_x
+        C[states] += s_x
         warnings += member.left_out(velocity, tau, axis.units)
     if not mass > 0.0:
         kinds = " and ".join(entry.kind for entry in axis.effects)
         raise InputError(
-            f"effects: {shown(mass, 'kg')} are left on the encoder's side of {kinds}, expected shares that leave some"
+            f"effects: {kinds} leave {shown(mass, 'kg')} on the encoder side, expected shares that leave more than 0"
         )
     A[VELOCITY] = ((1.0 - drag_tau) * force_row - drag) / mass
     B[VELOCITY] = (1.0 - drag_tau) * force_in / mass
@@ -453,7 +456,7 @@ def linear_plant(axis: Axis, velocity: float = 0.1) -> LinearPlant:
 class Environment:
     """An environment of the carriage: added mass [kg], damping [N/(m/s)] and stiffness to ground [N/m].
 
-    A passive hand is ``tau_e = -(mass qdd + damping qd + stiffness q)``; a stiff wall has stiffness alone.
+    A passive hand is ``tau_e = -(mass qdd + damping qd + stiffness q)``; a wall has stiffness only.
     """
 
     mass: float | np.ndarray = 0.0
@@ -466,9 +469,9 @@ FREE = Environment()
 
 @dataclass(frozen=True)
 class Felt:
-    """Reading of the force sensor at a sample: ``state`` (..., n) x + ``voltage`` u + ``force`` f_ext [N].
+    """Reading [N] of the force sensor at a sample: ``state`` (..., n) x + ``voltage`` u + ``force`` f_ext.
 
-    ``u`` is the voltage that acted up to the sample, f_ext the external force, held from the sample on.
+    u is the voltage before the sample, f_ext the external force, constant from the sample on.
     """
 
     state: np.ndarray
@@ -497,9 +500,9 @@ def attached(plant: LinearPlant, environment: Environment) -> LinearPlant:
 
 
 def felt(plant: LinearPlant, environment: Environment) -> Felt:
-    """Return the reading of a force sensor between the carriage of ``plant``, as :func:`attached`, and ``environment``.
+    """Return the reading of a force sensor between the carriage of an :func:`attached` ``plant`` and ``environment``.
 
-    It is the whole force of the environment, inertia included, and the external force.
+    The reading is the force of the environment, including its inertia, plus the external force.
     """
     mass = np.asarray(environment.mass)
     state = -mass[..., None] * plant.A[..., VELOCITY, :]

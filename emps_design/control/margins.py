@@ -3,11 +3,11 @@
 A system ``x[k+1] = A x[k] + b u[k], y[k] = c x[k] + d u[k]``, and a continuous one likewise, has the transfer function
 ``c (z I - A)^-1 b + d``. Arrays with leading axes are as many systems.
 
-Stability is judged by the poles: an unstable loop has no margins, and every caller checks that first. The phase margin
-is the additional phase *lag* at a crossover that moves the response to -1, the smallest over all crossovers; the delay
-margin is the smallest ratio of that lag to its frequency; the gain margin is the smallest factor above one that moves
-the response to -1, frequency 0 and the Nyquist frequency included, and the gain reduction margin the largest factor
-below one that does (a plant that is unstable by itself needs a least gain).
+The poles decide stability: an unstable loop has no margins, and every caller checks that first. The phase margin is the
+additional phase *lag* that moves the response to -1 at a crossover, the smallest over all crossovers; the delay margin
+is the smallest ratio of that lag to its frequency. The gain margin is the smallest factor above one that moves the
+response to -1, frequency 0 and the Nyquist frequency included; the gain reduction margin is the largest such factor
+below one (an unstable plant needs a least gain).
 
 A loop of different rates is periodic and lifted to the rate at which it repeats. The matrices of the samples of a cycle
 are stacked along the first axis: ``x[k+1] = A[j] x[k] + B[j] w[k]`` with j = k modulo the length of the cycle. From
@@ -50,14 +50,14 @@ MARGINS: tuple[Row, ...] = (
     ("least stable gain", "gain_reduction_margin", "ratio", 1.0),
     ("disk margin", "disk_margin", "", 1.0),
 )
-LOWEST = "lowest_crossover"  # rad/s, key in arrays: first crossover, wherever the least phase margin is
+LOWEST = "lowest_crossover"  # rad/s, key in arrays: the first crossover, which may not have the smallest phase margin
 AT_REST = 1e-3  # ratio of imaginary to real part below which a loop below 0 dB at the lowest frequency counts as real
-NO_LAG = 1e-6  # rad, rounding of the lag of a loop at the limit of stability
-MOST_GAIN = 1e4  # above this a gain margin is unbounded
-_NEAR = 30.0  # samples; up to this delay every tenth of a sample is tried
+NO_LAG = 1e-6  # rad, rounding error of the lag of a loop at the limit of stability
+MOST_GAIN = 1e4  # a larger gain margin counts as unbounded
+_NEAR = 30.0  # samples; up to this delay the search has steps of a tenth of a sample
 _TURNS, _FACTORS = np.radians(np.arange(1.0, 181.0)), np.geomspace(1.0, MOST_GAIN, 241)[1:]
 
-MARGINAL = 1e-9  # a pole this close to the unit circle counts as on it, so that rounding decides no verdict
+MARGINAL = 1e-9  # a pole this close to the unit circle counts as on it, so that rounding errors decide no verdict
 AT_ONCE = 100_000  # systems solved together
 ROUNDING = 32.0 * np.finfo(float).eps  # relative error of a coefficient
 Response = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -106,7 +106,7 @@ class Margins(Viewed):
         return document
 
     def view(self) -> View:
-        """Whether the loop is stable, and its margins."""
+        """A table of the margins under the verdict, stable or UNSTABLE."""
         document = self.to_dict()
         rows = [
             (label, None if document[key] is None else scale * document[key], unit)
@@ -127,10 +127,10 @@ def margin_arrays(
     """Return the margins of ``count`` loops as arrays, NaN where a margin is unbounded.
 
     ``response(w, rows)`` is the open loop of the loops with indices ``rows`` at ``w`` [rad/s]; both broadcast.
-    ``frequencies`` [rad/s], ascending, bracket the crossings, which are then refined to 1e-12; if a loop is below
-    0 dB at the first, :func:`further_down` extends them. ``nyquist`` [rad/s] is that of sampled loops, where the
-    response is real and may be -1. ``delayed(w, rows, delay)`` is the open loop with an additional ``delay`` [s],
-    arrays (n,): with it the delay margin is exact between whole samples too. Keys: those of ``KEYS``, and ``LOWEST``.
+    ``frequencies`` [rad/s], ascending, bracket the crossings, which are then refined to 1e-12; if a loop is below 0 dB
+    at the first, :func:`further_down` extends them. ``nyquist`` [rad/s] is that of sampled loops, where the response is
+    real and may be -1. ``delayed(w, rows, delay)`` is the open loop with an additional ``delay`` [s], arrays (n,); it
+    makes the delay margin exact between whole samples too. Keys: those of ``KEYS``, and ``LOWEST``.
 
     >>> arrays = margin_arrays(lambda w, rows: 1.0 / (1j * w * (1.0 + 0.1j * w) ** 2), 1, np.geomspace(0.1, 100, 50))
     >>> round(float(arrays["gain_margin"][0]), 6), round(float(arrays["gain_margin_frequency"][0]), 6)
@@ -162,14 +162,14 @@ def margin_arrays(
         _keep_smallest(where, delay, {"delay_margin": delay}, margins)
 
     crossing = (loop.imag[:, 1:] < 0.0) != (loop.imag[:, :-1] < 0.0)
-    # A sign change of the imaginary part far on the positive side is no crossing of the negative real axis.
+    # A sign change of the imaginary part on the positive side is not a crossing of the negative real axis.
     crossing &= (loop.real[:, 1:] < 0.0) | (loop.real[:, :-1] < 0.0)
     where, place = np.nonzero(crossing)
     if where.size:
         w = _refine(lambda w, which: _sine(response(w, where[which])), frequencies[place], frequencies[place + 1])
         _keep_gains(response(w, where).real, where, w, margins)
     below = np.flatnonzero(inside[:, 0] & (np.abs(loop[:, 0].imag) < AT_REST * np.abs(loop[:, 0].real)))
-    if below.size:  # no integral action: at rest the response is real, and may be -1 there
+    if below.size:  # no integral action: at frequency 0 the response is real and may be -1
         _keep_gains(loop[below, 0].real, below, np.full(below.size, frequencies[0]), margins)
     if nyquist is not None:
         everything = np.arange(count)
@@ -185,11 +185,11 @@ def loop_margins(
     period: float | None = None,
     delayed: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Margins:
-    """Return the margins of one loop; ``stable`` says whether its closed-loop poles are.
+    """Return the margins of one loop; ``stable`` says whether its closed-loop poles are stable.
 
     ``response(w)`` is the open loop at ``w`` [rad/s]; ``frequencies`` [rad/s] ascending; ``period`` [s] of a sampled
-    loop; ``delayed(w, delay)`` as for :func:`margin_arrays`. An unstable loop gets no margins: its frequency response
-    shows no distance to instability.
+    loop; ``delayed(w, delay)`` as for :func:`margin_arrays`. An unstable loop has no margins, since its frequency
+    response does not show a distance to instability.
 
     >>> loop_margins(lambda w: 2.0 / (1j * w), np.geomspace(0.1, 10, 20), stable=True).crossover
     2.0
@@ -207,7 +207,7 @@ def loop_margins(
 
 
 def further_down(frequencies: np.ndarray) -> np.ndarray:
-    """Return ``frequencies`` (n,) [rad/s] extended by five decades downwards, for a loop that is slower than the first.
+    """Return ``frequencies`` (n,) [rad/s] extended downwards by five decades, for a slow loop.
 
     >>> further_down(np.array([1.0, 2.0]))[[0, -2, -1]].round(9).tolist()
     [1e-05, 1.0, 2.0]
@@ -252,8 +252,8 @@ def _exact_delay(
 ) -> np.ndarray:
     """Delays [s] at which the loops ``rows`` reach -1, from their crossovers ``w`` and lag over frequency ``delay``.
 
-    Newton's method for the logarithm of minus the loop, in the logarithm of frequency and in samples of delay. Where it
-    does not converge, the delay of the phase alone is kept, which is exact for whole samples.
+    Newton's method for the logarithm of minus the loop, in the logarithm of frequency and in samples of delay. If it
+    does not converge, ``delay`` is returned, which is exact for whole samples.
     """
     period, small = math.pi / nyquist, 1e-6
     x, y, slopes = np.log(w), delay / period, np.zeros((2, w.size), dtype=complex)
@@ -264,7 +264,7 @@ def _exact_delay(
     active = np.arange(w.size)
     residual = gap(active)
     for turn in range(60):
-        if turn % 10 == 0:  # the slopes of the start serve the nearest steps too
+        if turn % 10 == 0:  # slopes are updated every ten steps
             slopes[:, active] = [(gap(active, *by) - residual[active]) / small for by in ((small, 0.0), (0.0, small))]
         by_x, by_y, now = slopes[0, active], slopes[1, active], residual[active]
         determinant = by_x.real * by_y.imag - by_x.imag * by_y.real
@@ -296,7 +296,7 @@ def _keep_smallest(
 
 
 def _keep_gains(value: np.ndarray, where: np.ndarray, w: np.ndarray, margins: dict[str, np.ndarray]) -> None:
-    """Keep the gain margins that follow from real values of the loops ``where`` at ``w`` [rad/s], if smaller."""
+    """Update the gain margins from real values of the loops ``where`` at ``w`` [rad/s], if they are smaller."""
     more = (value < 0.0) & (value > -1.0)
     factor, rows, at = -1.0 / value[more], where[more], w[more]
     nearer = ~(factor >= margins["gain_margin"][rows])  # NaN: none yet
@@ -322,7 +322,7 @@ def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.nd
         fc = function(np.exp(c), active)
         root[active] = c
         other = np.sign(fc) == np.sign(fb[active])
-        # The value at an unchanged end is halved, so that neither end gets stuck.
+        # The value at an unchanged end is halved, so that both ends move.
         a_next = np.where(other, a[active], b[active])
         fa_next = np.where(other, 0.5 * fa[active], fb[active])
         moved = np.abs(c - b[active])
@@ -332,7 +332,7 @@ def _refine(function: Callable[[np.ndarray, np.ndarray], np.ndarray], low: np.nd
 
 
 def bisect(past: Callable[[float], bool], low: float, high: float, apart: float) -> tuple[float, float]:
-    """Return a bracket [low, high] halved in equal ratios until its ends are at most ``apart`` times each other.
+    """Return a bracket [low, high], bisected at geometric means until ``high`` is at most ``apart`` times ``low``.
 
     ``past`` holds at ``high`` and not at ``low``.
 
@@ -436,20 +436,19 @@ def lifted(
 def periodic_response(A: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Return the response of a periodic system at the input frequency, the mean over a cycle.
 
-    (c, n, n), (c, n), (c, n), (c,), ``angle`` (f,) [rad] per sample -> (f,). The aliases that the output contains too
-    are left out.
+    (c, n, n), (c, n), (c, n), (c,), ``angle`` (f,) [rad] per sample -> (f,). Aliases in the output are not included.
     """
     cycle, size = b.shape
-    turn = np.exp(1j * angle)[:, None, None]
-    forth = turn ** np.arange(cycle + 1)[:, None, None, None]  # the input, sample by sample
+    rotation = np.exp(1j * angle)[:, None, None]
+    inputs = rotation ** np.arange(cycle + 1)[:, None, None, None]  # by sample
     driven = np.zeros((angle.size, size, 1), dtype=complex)
     for j in range(cycle):
-        driven = A[j] @ driven + b[j][:, None] * forth[j]
-    x = np.linalg.solve(forth[cycle] * np.eye(size) - monodromy(A), driven)
+        driven = A[j] @ driven + b[j][:, None] * inputs[j]
+    x = np.linalg.solve(inputs[cycle] * np.eye(size) - monodromy(A), driven)
     total = np.zeros((angle.size, 1, 1), dtype=complex)
     for j in range(cycle):
-        total += (c[j][None] @ x + d[j] * forth[j]) / forth[j]
-        x = A[j] @ x + b[j][:, None] * forth[j]
+        total += (c[j][None] @ x + d[j] * inputs[j]) / inputs[j]
+        x = A[j] @ x + b[j][:, None] * inputs[j]
     return total.ravel() / cycle
 
 
@@ -459,9 +458,9 @@ def periodic_margins(
     """Return the margins at one place of a periodic loop, from the poles of the loop closed with a factor there.
 
     ``opened`` (c, n, n), ``column`` (c, n) and ``row`` (c, n) are the loop broken at that place; ``period`` [s] of a
-    sample. The factor exp(-j phi) that moves a pole to the unit circle gives the phase margin, a real one the gain
-    margin; ``delayed(delay)`` is the largest modulus of the poles with an additional ``delay`` [s] at that place;
-    without it there is no delay margin.
+    sample. The factor exp(-j phi) that moves a pole to the unit circle gives the phase margin, a real factor the gain
+    margin. ``delayed(delay)`` is the largest modulus of the poles with an additional ``delay`` [s] at that place; None
+    for no delay margin.
     """
 
     added = column[..., :, None] * row[..., None, :]
@@ -519,20 +518,20 @@ def _late_delay(opened: np.ndarray, column: np.ndarray, row: np.ndarray, period:
     return min(delays, default=None)
 
 
-def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, tried: np.ndarray, at_once: int = 20) -> float | None:
-    """Return the first number above ``low`` at which a pole leaves the unit circle, None if none up to the last does.
+def _first(radii: Callable[[np.ndarray], np.ndarray], low: float, grid: np.ndarray, at_once: int = 20) -> float | None:
+    """Return the first number above ``low`` at which a pole leaves the unit circle; None if none up to the end does.
 
-    ``radii(numbers)`` is the largest modulus of the poles at each; it gets ``at_once`` numbers of ``tried`` at a time.
+    ``radii(numbers)`` is the largest modulus of the poles at each; it gets ``at_once`` numbers of ``grid`` at a time.
     """
     from scipy.optimize import brentq
 
     def beyond(number: float) -> float:
         return float(radii(np.array([number]))[0]) - (1.0 + MARGINAL)
 
-    for start in range(0, tried.size, at_once):
-        out = np.flatnonzero(radii(tried[start : start + at_once]) > 1.0 + MARGINAL)
+    for start in range(0, grid.size, at_once):
+        out = np.flatnonzero(radii(grid[start : start + at_once]) > 1.0 + MARGINAL)
         if out.size:
             place = start + int(out[0])
-            low, high = float(tried[place - 1]) if place else low, float(tried[place])
+            low, high = float(grid[place - 1]) if place else low, float(grid[place])
             return brentq(beyond, low, high, xtol=1e-15 * high, rtol=1e-14)
     return None

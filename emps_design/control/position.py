@@ -1,7 +1,7 @@
-"""Design of the position loop around an existing velocity loop: its gain for one specification, sampled, own rate.
+"""Design of the position loop around an existing velocity loop: its gain for one specification, in the sampled loop.
 
-The specification is an overshoot of the response to a step of the position reference, a -3 dB bandwidth, or a
-stiffness: a step of force over the largest displacement. All are computed from the linear loop of
+The specification is the overshoot of the step response to the position reference, a -3 dB bandwidth, or a stiffness: a
+step of force over the largest displacement. All are computed from the linear loop of
 :func:`~emps_design.control.sampled.close`, with the position loop in every n-th sample and without feed-forward, which
 changes the response to the reference but not the loop. Following errors are given for each feed-forward.
 """
@@ -24,14 +24,14 @@ from emps_design.control.velocity.sampled import step_answer, velocity_table
 from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library import cascade
 
-WANTED = {"overshoot": "%", "bandwidth": "rad/s", "stiffness": "N/m", "kp": "1/s"}
-LOWEST = 1e-4  # of the velocity loop's crossover: the slowest position loop tried
-KP_CLOSE = 1.0 + 2.1e-8  # ratio of two gains that are alike
+SPECIFICATIONS = {"overshoot": "%", "bandwidth": "rad/s", "stiffness": "N/m", "kp": "1/s"}
+LOWEST = 1e-4  # slowest position loop of the search, relative to the fastest
+KP_CLOSE = 1.0 + 2.1e-8  # ratio of the ends of the bracket at which the search for the gain ends
 
 
 @dataclass(frozen=True)
 class PositionLoopDesign:
-    """A position loop with gain ``kp`` [1/s], computed in every ``every``-th sample, around ``velocity_loop``."""
+    """A position loop with gain ``kp`` [1/s], computed every ``every``-th sample, around ``velocity_loop``."""
 
     velocity_loop: VelocityLoopDesign
     kp: float
@@ -43,16 +43,16 @@ class PositionLoopDesign:
         loop = self.velocity_loop
         estimator = loop.axis.controller.velocity_estimator
         _, table = velocity_table(loop.k_v1, loop.t_v, loop.structure, loop.filters, estimator, in_a_cascade=True)
-        own = {"position": {"kp": self.kp, "every": self.every}, "feedforward": feedforward}
+        outer = {"position": {"kp": self.kp, "every": self.every}, "feedforward": feedforward}
         if loop.axis.controller.anti_windup is not None:
-            own["anti_windup"] = loop.axis.controller.anti_windup
-        whole = {"kind": cascade.LAW.name, **table.model_dump(exclude_none=True), **own}
+            outer["anti_windup"] = loop.axis.controller.anti_windup
+        whole = {"kind": cascade.LAW.name, **table.model_dump(exclude_none=True), **outer}
         return loop.axis.replace(controller=Controller.model_validate(whole))
 
     def controller_table(self) -> dict[str, Any]:
-        """The ``[controller]`` table of the axis file that runs this design, the axis's feed-forward kept."""
-        own = self.velocity_loop.axis.controller.feedforward
-        return self.axis(**(own or {})).controller.model_dump(exclude_none=True)
+        """The ``[controller]`` table of the axis file for this design, with the feed-forward of the axis."""
+        feedforward = self.velocity_loop.axis.controller.feedforward
+        return self.axis(**(feedforward or {})).controller.model_dump(exclude_none=True)
 
     @cached_property
     def loop(self) -> SampledLoop:
@@ -61,7 +61,7 @@ class PositionLoopDesign:
 
     @cached_property
     def nested(self) -> tuple[NestedLoop, ...]:
-        """Velocity loop, position loop and whole, each with its margins."""
+        """Velocity loop, position loop and whole loop, each with its margins."""
         return nested_loops(self.axis(), self.velocity_loop.velocity)
 
     @property
@@ -96,7 +96,7 @@ class PositionLoopDesign:
 
     @property
     def stiffness(self) -> float:
-        """A step of force over the largest displacement that it causes [N/m]."""
+        """Ratio of a step of force to its largest displacement [N/m]."""
         return float(1.0 / np.max(np.abs(self._step_positions("force"))))
 
     @property
@@ -162,13 +162,13 @@ def design_position_loop(
     >>> round(outer.bandwidth, 3), outer.stable
     (20.0, True)
     """
-    if wanted not in WANTED:
-        raise InputError(f"position loop: found {wanted!r}, expected one of {', '.join(WANTED)}")
+    if wanted not in SPECIFICATIONS:
+        raise InputError(f"position loop: found {wanted!r}, expected one of {', '.join(SPECIFICATIONS)}")
     if not math.isfinite(value) or value < 0.0 or (value == 0.0 and wanted != "overshoot"):
-        found = velocity_loop.axis.units.quantity(value, WANTED[wanted], "g")
+        found = velocity_loop.axis.units.quantity(value, SPECIFICATIONS[wanted], "g")
         raise InputError(f"position loop: found {wanted} {found}, expected a positive number")
     if not velocity_loop.sampled.stable:
-        raise SpecificationError("position loop: the velocity loop inside it is unstable", {})
+        raise SpecificationError("position loop: the inner velocity loop is unstable", {})
     requested = {wanted: float(value)}
 
     def design(kp: float) -> PositionLoopDesign:
@@ -204,10 +204,10 @@ def design_position_loop(
 
 def _unreachable(nearest: PositionLoopDesign, wanted: str, value: float) -> SpecificationError:
     name = "overshoot_percent" if wanted == "overshoot" else wanted
-    shown, unit = nearest.velocity_loop.axis.units.quantity, WANTED[wanted]
+    shown, unit = nearest.velocity_loop.axis.units.quantity, SPECIFICATIONS[wanted]
     has = f"has {shown(getattr(nearest, name), unit)}" if nearest.stable else "is unstable"
     return SpecificationError(
-        f"position loop: no gain has the {wanted} of {shown(value, unit, 'g')} around this velocity loop; nearest: "
+        f"position loop: no gain gives the {wanted} of {shown(value, unit, 'g')} around this velocity loop; nearest: "
         f"kp {nearest.kp:.4g} 1/s, which {has}",
         {"kp": nearest.kp},
     )

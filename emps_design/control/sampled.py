@@ -4,15 +4,15 @@ A law in its linear form and a plant discretised exactly form one state-space sy
 
     s[k+1] = A s[k] + B w[k],    y[k] = C s[k] + D w[k].
 
-Stability is judged by its poles first; an unstable loop has no margins. Three kinds of states are removed: the position
-of the carriage, if nothing depends on it (its pole at 1 would be in every free loop); a memory cell of the law that
-nothing drives or nothing reads, such as that of an unused position loop; and a cell that equals a state of the plant
-when both start at rest, as the current model of the impedance law does while the drive follows its command.
+The poles decide stability; an unstable loop has no margins. Three kinds of states are removed: the position of the
+carriage, if nothing depends on it (every free loop would have its pole at 1); a memory cell of the law without input or
+without output, such as that of an unused position loop; and a cell that equals a state of the plant when both start at
+rest, as does the current model of the impedance law while the drive follows its command.
 
 A controller has nested loops, each broken at one place. The velocity loop is broken at the plant input with the
-position loop open; the position loop at the position error with the velocity loop closed, at its own rate, so that it
-is one sampled loop whatever the rate inside. The last is the whole loop at the plant input, where a delay or a current
-loop acts; with different rates it is periodic. A design is as good as the worst of them.
+position loop open. The position loop is broken at the position error with the velocity loop closed, at its own rate, so
+that it is one sampled loop whatever the inner rate. The last one is the whole loop at the plant input, where a delay or
+a current loop acts; with different rates it is periodic. The worst of these loops decides on a design.
 """
 
 from __future__ import annotations
@@ -128,8 +128,8 @@ class SampledLoop:
         opened, column, row = self.opened
         if self.cycle > 1:
             raise InputError(
-                f"loop gain: found loops of different rates, the same again after {self.cycle} samples, expected one "
-                "rate; nested_loops has the margins of such a law"
+                f"loop gain: found loops of different rates, periodic with {self.cycle} samples, expected one rate; "
+                "nested_loops has the margins of such a law"
             )
         return -transfer(opened, column, row, np.zeros(column.shape[:-1]), np.exp(1j * np.asarray(w) * self.period))
 
@@ -181,7 +181,7 @@ class SampledLoop:
         import control
 
         if self.cycle > 1:
-            raise InputError("transfer function: found loops of different rates, which have none; take to_ss()")
+            raise InputError("transfer function: found loops of different rates, which have none; use to_ss()")
         channel = self.to_ss()[OUTPUTS.index(output), self.inputs.index(by)]
         return control.ss2tf(channel, inputs=[by], outputs=[output], name=f"{output}_by_{by}")
 
@@ -197,8 +197,8 @@ def close(
     """Close the loop of ``law`` around ``plant``; its force sensor reads ``felt`` with a delay of ``sensor_delay``.
 
     Without ``felt`` the sensor reads the external force; ``sensor_delay`` is in samples. ``plant_input`` adds the input
-    ``voltage``, which a current model in the law does not see. ``keep_position`` keeps the position among the states,
-    of which those of the plant come first. Leading axes of ``plant`` and ``law`` broadcast.
+    ``voltage``, which a current model in the law does not read. With ``keep_position`` the position remains among the
+    states, of which those of the plant come first. Leading axes of ``plant`` and ``law`` broadcast.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.laws import law_of
@@ -232,10 +232,10 @@ def close(
         reading[..., past + plant.delay] += felt.voltage
     read = past_f[-1] if sensor_delay else reading
 
-    def computed(own: np.ndarray, by: np.ndarray) -> np.ndarray:
+    def computed(from_memory: np.ndarray, by: np.ndarray) -> np.ndarray:
         """Rows (..., size + inputs) of a quantity that the law computes from its memory and its inputs."""
         rows = by[..., 1, None] * encoder + by[..., 2, None] * read
-        rows[..., memory:past] += own
+        rows[..., memory:past] += from_memory
         rows[..., size + _REFERENCE] += by[..., 0]
         rows[..., signals] += by[..., 3:]
         return rows
@@ -253,8 +253,8 @@ def close(
     rows[..., :n, size + _FORCE] += plant.H
     for i in range(cells):
         rows[..., memory + i, :] = computed(law.A[..., i, :], law.B[..., i, :])
-    for place, kept in ((past, arriving[:history]), (late, [reading, *past_f][:sensor_delay])):
-        for i, row in enumerate(kept):
+    for place, values in ((past, arriving[:history]), (late, [reading, *past_f][:sensor_delay])):
+        for i, row in enumerate(values):
             rows[..., place + i, :] = row
     step = rows[..., POSITION, :] / plant.period
     step[..., POSITION] -= 1.0 / plant.period
@@ -280,9 +280,9 @@ def close(
 
 
 def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:
-    """Close the loop of the controller of ``axis``, a user's own too; effects are linearised at ``velocity`` [m/s].
+    """Close the loop of the controller of ``axis``, its effects linearised at ``velocity`` [m/s].
 
-    Raises :class:`~emps_design.errors.AxisError` if it has none. The plant input is among the loop's inputs.
+    The plant input is among the inputs of the loop. Raises :class:`~emps_design.errors.AxisError` without a controller.
 
     >>> from emps_design.machines import machine
     >>> loop = axis_loop(machine("emps2019"))
@@ -298,7 +298,7 @@ def axis_loop(axis: Axis, velocity: float = 0.1) -> SampledLoop:
 
 
 def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cells: range) -> list[int]:
-    """Return ``keep`` without ``cells`` that equal another state from rest on; their columns are added to its own."""
+    """Return ``keep`` without ``cells`` that equal another state from rest on; its columns absorb theirs."""
     while (pair := _repetition(rows, keep, cells)) is not None:
         cell, other = pair
         for table in (rows, out):
@@ -308,7 +308,7 @@ def _without_repetitions(rows: np.ndarray, out: np.ndarray, keep: list[int], cel
 
 
 def _repetition(rows: np.ndarray, keep: list[int], cells: range) -> tuple[int, int] | None:
-    """Return the first of the ``cells`` that stays equal to another state once it is equal, and that state, or None."""
+    """Return the first of the ``cells`` that remains equal to another state, and that state; None if there is none."""
     candidates, others = [index for index in keep if index in cells], [index for index in keep if index not in cells]
     if not candidates or not others:
         return None
@@ -326,7 +326,7 @@ def _repetition(rows: np.ndarray, keep: list[int], cells: range) -> tuple[int, i
 
 
 def sorted_poles(poles: np.ndarray) -> np.ndarray:
-    """Return poles (..., n) sorted by falling modulus, then by imaginary part, for a reproducible order."""
+    """Return poles (..., n) sorted by descending modulus, then by imaginary part, for a reproducible order."""
     poles = np.asarray(poles, dtype=complex)
     return np.take_along_axis(poles, np.lexsort((-poles.imag, -np.round(np.abs(poles), 12)), axis=-1), axis=-1)
 
@@ -335,7 +335,7 @@ def sorted_poles(poles: np.ndarray) -> np.ndarray:
 class NestedLoop:
     """One loop of a controller: its ``name``, where it is ``broken``, and its margins there.
 
-    ``where`` holds the differences of its machine from the axis, see :func:`where_in_words`.
+    ``where`` holds the differences of its plant from the axis, see :func:`where_in_words`.
     """
 
     name: str
@@ -344,7 +344,7 @@ class NestedLoop:
     where: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: name, place, margins, and the machine if it differs from the axis."""
+        """Plain data: name, place, margins, and the plant if it differs from the axis."""
         where = {"where": dict(self.where)} if self.where else {}
         return {"name": self.name, "broken": self.broken, **where, **self.margins.to_dict()}
 
@@ -352,11 +352,11 @@ class NestedLoop:
 def nested_loops(
     axis: Axis, velocity: float = 0.1, delay: float = 0.0, delay_margins: bool = True
 ) -> tuple[NestedLoop, ...]:
-    """Return the loops of the controller of ``axis``, innermost first and the whole last.
+    """Return the loops of the controller of ``axis``, innermost first and the whole loop last.
 
-    The axis is linearised at ``velocity`` [m/s]; ``delay`` [s] adds to that of the command. A controller with a
-    velocity loop alone has one loop. ``delay_margins`` False omits those of loops of different rates, which take
-    longest. Raises :class:`~emps_design.errors.AxisError` if the axis has no controller.
+    The axis is linearised at ``velocity`` [m/s]; ``delay`` [s] adds to that of the command. A controller with only a
+    velocity loop has one loop. ``delay_margins`` False omits the delay margins of loops of different rates, which are
+    slow to compute. Raises :class:`~emps_design.errors.AxisError` if the axis has no controller.
 
     >>> from emps_design.machines import machine
     >>> cascade = {"kind": "cascade", "position": {"kp": 30.0, "every": 2}, "velocity": {"kp": 300.0, "ti": 0.05}}
@@ -437,9 +437,9 @@ def position_loop(plant: SampledPlant, form: LinearLaw) -> tuple[np.ndarray, np.
 
 
 def safety(margins: Margins) -> float:
-    """Return the lesser of phase margin over 30 deg and gain margin in octaves: from 1 on a loop is safe.
+    """Return the smaller of phase margin over 30 deg and gain margin in octaves; a loop is safe from 1 on.
 
-    An unstable loop has minus infinity, one whose margins are both unbounded plus infinity.
+    It is minus infinity for an unstable loop, and plus infinity if both margins are unbounded.
 
     >>> from emps_design.control.margins import Margins
     >>> safety(Margins(stable=True, phase_margin_deg=60.0, gain_margin=2.0)), safety(Margins(stable=False))
@@ -455,9 +455,9 @@ def safety(margins: Margins) -> float:
 
 
 def worst_loop(loops: Iterable[NestedLoop]) -> NestedLoop:
-    """Return the loop with the least :func:`safety` of ``loops``, at least one; of equals the first.
+    """Return the loop with the smallest :func:`safety`, the first of equal ones.
 
-    So an unstable loop comes before any stable one, and of several unstable ones the innermost.
+    So an unstable loop precedes every stable one, and of several unstable loops the innermost is returned.
 
     >>> from emps_design.control.margins import Margins
     >>> from emps_design.control.sampled import NestedLoop
@@ -470,7 +470,7 @@ def worst_loop(loops: Iterable[NestedLoop]) -> NestedLoop:
 
 
 def margins_in_words(margins: Margins) -> str:
-    """Phase and gain margin of a stable loop.
+    """Phase and gain margin of a stable loop in words.
 
     >>> from emps_design.control.margins import Margins
     >>> margins_in_words(Margins(stable=True, phase_margin_deg=6.41, gain_margin=1.234))
@@ -482,7 +482,7 @@ def margins_in_words(margins: Margins) -> str:
 
 
 def loop_in_words(loop: NestedLoop, units: Units = LINEAR) -> str:
-    """Name a loop and its machine, in the units of its axis.
+    """The name of a loop and its plant in words, in the units of its axis.
 
     >>> from emps_design.control.margins import Margins
     >>> from emps_design.control.sampled import NestedLoop

@@ -1,9 +1,9 @@
-"""The verdict on a design: stable or not in its worst loop, over all machines that the controller has to run on.
+"""The verdict on a design: the stability of its worst loop, over all plants on which the controller must run.
 
-These machines are the nominal axis in both directions, the loads of a range, and the corners of a mismatch.
+These plants are the nominal axis in both directions, the loads of a range, and the corners of a mismatch.
 
-The document of ``gains`` holds the verdict, and the same gains in each structure, IP, PI, and PI with a reference
-filter, with the overshoot of their step responses. Overshoot, rise and settling time are those of stable loops only.
+The document of ``gains`` holds the verdict, and the same gains in each structure: IP, PI, and PI with a reference
+filter, with the overshoot of their step responses. Overshoot, rise and settling time exist for stable loops only.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 NOMINAL = {"inertia": 1.0, "compliance": 1.0, "delay": 0.0}
 
-SLOWER = 0.9  # factor from one slower loop to the next in a search
-KEPT = 0.8  # share of the velocity loop's safety that a position loop must leave if that is not safe by itself
+SLOWER = 0.9  # ratio of the frequencies of two successive loops in a search
+KEPT = 0.8  # least share of the velocity loop's safety with a position loop, if the velocity loop itself is not safe
 SLOWEST = 1e-3  # slowest loop of a search, relative to the first
 
 SETTLED = 0.02  # band around the final value, as a share of it
@@ -68,12 +68,12 @@ class Case:
 
     @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
-        """The loops of the controller, innermost first and the whole last."""
+        """The loops of the controller, innermost first and the whole loop last."""
         return self._loops(delay_margins=True)
 
     @cached_property
     def judged(self) -> tuple[NestedLoop, ...]:
-        """:attr:`loops` without the delay margins that take long; enough for a verdict."""
+        """:attr:`loops` without the delay margins that are slow to compute; sufficient for a verdict."""
         return self._loops(delay_margins=False)
 
     @property
@@ -101,7 +101,7 @@ def cases_of(
     span: LoadRange | None = None,
     errors: Mapping[str, float] | None = None,
 ) -> tuple[Case, ...]:
-    """Return the machines that the controller of ``axis`` runs on, the nominal axis first.
+    """Return the plants on which the controller of ``axis`` runs, the nominal axis first.
 
     An axis with effects is included at -``velocity`` [m/s] too. ``span`` adds the loads of a range, its ends and
     several in between; ``errors`` the corners of these relative errors of the parameters. They are tried in both
@@ -146,10 +146,10 @@ def worst_loop_of(axis: Axis) -> NestedLoop:
 
 @dataclass(frozen=True)
 class DesignVerdict:
-    """The loops of a velocity ``design`` as it will run, and the worst of them.
+    """The loops of the controller with a velocity loop ``design``, and the worst of them.
 
-    ``around`` is the position loop designed around it; without one a cascade keeps its own. ``span`` is a range of
-    loads, ``errors`` relative errors of the parameters, ``measured`` loops around measured plants.
+    ``around`` is the position loop designed around it; without one a cascade keeps that of the axis file. ``span`` is a
+    range of loads, ``errors`` are relative errors of the parameters, ``measured`` are loops around measured plants.
     """
 
     design: VelocityLoopDesign
@@ -160,17 +160,17 @@ class DesignVerdict:
 
     @cached_property
     def axis(self) -> Axis:
-        """The axis with the controller that will run."""
+        """The axis with the designed controller."""
         return self.design.axis_that_runs if self.around is None else self.around.axis()
 
     @cached_property
     def cases(self) -> tuple[Case, ...]:
-        """The machines on which the controller will run."""
+        """The plants on which the controller will run."""
         return cases_of(self.axis, self.design.velocity, self.span, self.errors)
 
     @cached_property
     def loops(self) -> tuple[NestedLoop, ...]:
-        """Every loop on every machine, those of the nominal axis first; delay margins may be missing."""
+        """Every loop on every plant, those of the nominal axis first; delay margins may be missing."""
         return (*(loop for case in self.cases for loop in case.judged), *self.measured)
 
     @cached_property
@@ -185,19 +185,19 @@ class DesignVerdict:
 
     @property
     def stable(self) -> bool:
-        """Whether the worst loop is stable, and so all of them."""
+        """Whether all loops are stable."""
         return self.worst.margins.stable
 
     @property
     def _keeps_position_loop(self) -> bool:
-        """Whether the position loop is the axis file's and not one designed for this velocity loop."""
+        """Whether the position loop is that of the axis file, not one designed for this velocity loop."""
         return self.around is None and self.axis.controller.position is not None
 
     @cached_property
     def nearest(self) -> dict[str, Any]:
-        """The nearest specification that is stable on every machine, with ``position_kp`` [1/s]; {} if there is none.
+        """The nearest specification that is stable on every plant, with ``position_kp`` [1/s].
 
-        It is empty too if the design is stable.
+        {} if there is none, and if the design is stable.
         """
         if self.stable or "response" in self.worst.where:
             return {}
@@ -210,10 +210,10 @@ class DesignVerdict:
 
     @cached_property
     def position_kp(self) -> float | None:
-        """The gain [1/s] of a slower position loop with which all loops are safe on every machine, to three digits.
+        """The gain [1/s] of a slower position loop with which all loops are safe on every plant, to three digits.
 
-        If the velocity loop is not safe by itself, one that hardly reduces its margins. None if there is no position
-        loop, or no stable gain.
+        If the velocity loop itself is not safe, a gain that hardly reduces its margins. None if there is no position
+        loop or no stable gain.
         """
         if self.axis.controller.position is None:
             return None
@@ -222,11 +222,11 @@ class DesignVerdict:
 
     @property
     def _share_of_the_velocity_loop(self) -> float:
-        """The share :data:`KEPT` of the velocity loop's least safety over all machines."""
+        """The share :data:`KEPT` of the smallest safety of the velocity loop over all plants."""
         return KEPT * min(safety(loop.margins) for loop in self.loops if loop.name == VELOCITY_LOOP)
 
     def _slower_request(self) -> dict[str, Any]:
-        """The request at a lower frequency, with a velocity loop that is safe on every machine, or at least stable."""
+        """The specification at a lower frequency whose velocity loop is safe or at least stable on every plant."""
         design, stable = self.design, dict[str, Any]()
         if not design.requested:
             return {}
@@ -249,14 +249,14 @@ class DesignVerdict:
 
     @property
     def reason(self) -> str:
-        """The reason why the design is refused, in one line; empty if every loop is stable."""
+        """The reason why the design must not run, in one line; empty if every loop is stable."""
         if self.stable:
             return ""
         if self.design.reason:
             return self.design.reason
         where = where_in_words(self.worst.where, self.axis.units)
         if "response" in self.worst.where:
-            return f"the {self.worst.name} with these gains is unstable {where}; ask for a slower one"
+            return f"the {self.worst.name} with these gains is unstable {where}; specify a slower one"
         if self.worst.name == VELOCITY_LOOP:
             return f"the velocity loop with these gains is unstable {where}; {self._nearest_in_words}"
         kp = self.axis.controller.parameters["position"]["kp"]
@@ -276,26 +276,26 @@ class DesignVerdict:
             words.append(f"{nearest['phase_margin_deg']:.7g} deg at a {name} of {nearest[name]:.5g} rad/s")
         if kp is not None:
             words.append(f"`position_kp={kp:g}`")
-        return f"nearest that holds: {' with '.join(words)}" if words else "no slower one holds"
+        return f"nearest that is stable: {' with '.join(words)}" if words else "no slower one is stable"
 
     @property
     def warnings(self) -> tuple[Message, ...]:
-        """The worst loop if it is stable but not safe, and the position gain with which all loops are safe."""
+        """A message if the worst loop is stable but not safe, with the position gain that makes all loops safe."""
         worst = self.worst
         if not self.stable or safety(worst.margins) >= 1.0:
             return ()
-        words = f"the {loop_in_words(worst, self.axis.units)} has {margins_in_words(worst.margins)} only"
+        words = f"the {loop_in_words(worst, self.axis.units)} has only {margins_in_words(worst.margins)}"
         kp = self.position_kp if worst.name != VELOCITY_LOOP and "response" not in worst.where else None
-        own = self.axis.controller.parameters["position"]["kp"] if kp is not None else 0.0
+        present = self.axis.controller.parameters["position"]["kp"] if kp is not None else 0.0
         slower = ""
-        if kp is not None and kp < own:
+        if kp is not None and kp < present:
             safe = f"{SAFE_PHASE_MARGIN_DEG:g} deg and a gain margin of {SAFE_GAIN_MARGIN:g}"
-            leaves = safe if self._share_of_the_velocity_loop >= 1.0 else "more"
-            slower = f"; `position_kp={kp:g}` instead of {own:.4g} leaves {leaves}"
+            margins = safe if self._share_of_the_velocity_loop >= 1.0 else "more"
+            slower = f"; `position_kp={kp:g}` instead of {present:.4g} gives {margins}"
         return (warning("small-margins", words + slower),)
 
     def at(self, where: Mapping[str, Any]) -> list[NestedLoop]:
-        """The loops on the machine that differs from the axis by ``where``."""
+        """The loops on the plant that differs from the axis by ``where``."""
         return [loop for case in self.cases if case.where == where for loop in case.loops]
 
     @cached_property
@@ -318,7 +318,7 @@ class DesignVerdict:
         return sum(loop.margins.stable for loop in self._corners) / len(self._corners)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data: ``stable``, ``worst_loop``, and if unstable the ``reason`` and the ``nearest``."""
+        """Plain data: ``stable``, ``worst_loop``, and ``reason`` and ``nearest`` if unstable."""
         document = {"stable": self.stable, "worst_loop": self.worst.to_dict()}
         return document if self.stable else {**document, "reason": self.reason, "nearest": self.nearest}
 
@@ -343,14 +343,14 @@ def redesigned(design: VelocityLoopDesign, frequency: float) -> VelocityLoopDesi
 
 
 def _position_gain(cases: Sequence[Case], least: float) -> float | None:
-    """Return the largest gain [1/s] of the position loop, in steps, with a safety of ``least`` in all ``cases``.
+    """Return the largest gain [1/s] of the position loop, to three digits, with a safety of ``least`` in all ``cases``.
 
-    It has three digits. The gain is lowered for one machine after the other, since only a few bind.
+    The gain is reduced in steps, for one plant after the other, since only a few of them bind.
     """
 
     def with_gain(case: Case, kp: float) -> Case:
-        own = case.axis.controller.parameters["position"]
-        return replace(case, axis=case.axis.replace(controller={"position": {**own, "kp": kp}}))
+        position = case.axis.controller.parameters["position"]
+        return replace(case, axis=case.axis.replace(controller={"position": {**position, "kp": kp}}))
 
     def holds(case: Case, kp: float) -> bool:
         return safety(worst_loop(with_gain(case, kp).judged).margins) >= least
@@ -358,7 +358,7 @@ def _position_gain(cases: Sequence[Case], least: float) -> float | None:
     kp = float(cases[0].axis.controller.parameters["position"]["kp"])
     slowest = SLOWEST * kp
     hardest_first = sorted(cases, key=lambda case: safety(worst_loop(case.judged).margins))
-    for _ in range(2):  # twice: a lower gain may violate the limit of an earlier machine
+    for _ in range(2):  # twice, since a lower gain may violate the limit of an earlier plant
         for case in hardest_first:
             while kp > slowest and not holds(case, kp):
                 kp = float(f"{SLOWER * kp:.3g}")
@@ -387,7 +387,7 @@ class StepResponse:
 
 
 def measure_step(t: np.ndarray, y: np.ndarray) -> StepResponse:
-    """Read overshoot, rise and settling off ``y`` (n,) over ``t`` (n,) [s] that tends to 1.
+    """Return overshoot, rise and settling time of ``y`` (n,) over ``t`` (n,) [s], which tends to 1.
 
     >>> t = np.linspace(0.0, 10.0, 100_001)
     >>> first_order = measure_step(t, 1.0 - np.exp(-t))
@@ -428,13 +428,13 @@ def second_order_step(omega_0: float, z: float, t: np.ndarray, zero: float = 0.0
     if abs(root) < 1e-9:
         return 1.0 - (1.0 + x - zero * omega_0 * x) * np.exp(-x)
     slope = (z - zero * omega_0) / root
-    # exp(-z x) (cos(root x) + slope sin(root x)) by the two poles, of which neither power overflows.
+    # exp(-z x) (cos(root x) + slope sin(root x)) by the two poles, so that no power overflows.
     poles = np.exp((1j * root - z) * x), np.exp((-1j * root - z) * x)
     return 1.0 - (0.5 * (poles[0] + poles[1]) + slope / 2j * (poles[0] - poles[1])).real
 
 
 def continuous_step(design: VelocityLoopDesign, points: int = 2001) -> StepResponse:
-    """Step response of the continuous closed loop (9) with its structure's zero, from velocity reference to velocity.
+    """Step response of the continuous closed loop (9) with the zero of its structure, from reference to velocity.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -461,7 +461,7 @@ def step_responses(design: VelocityLoopDesign, points: int = 2001) -> tuple[Step
 
 
 def step_horizon(design: VelocityLoopDesign) -> float:
-    """Window [s] that shows rise and settling: 12 radians of the natural frequency, more when overdamped."""
+    """Window [s] for rise and settling: 12 radians of the natural frequency, more if overdamped."""
     return 12.0 * max(1.0, design.z_v) / design.omega_0v
 
 
@@ -483,9 +483,9 @@ def _ascending(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def gains_document(design: VelocityLoopDesign, verdict: DesignVerdict | None = None) -> dict[str, Any]:
     """Return the JSON document of ``gains``: ``design`` as plain data, its ``verdict``, its gains in each structure.
 
-    ``stable`` and ``worst_loop`` are the verdict over all loops and machines; ``reason`` says why a design is refused,
-    ``nearest`` is the nearest that is not. ``position_loop`` is the one designed around it, ``kept_position_loop`` the
-    loops with that of the axis file. ``load_range`` and ``mismatch`` are there if the verdict has them.
+    ``stable`` and ``worst_loop`` are the verdict over all loops and plants; ``reason`` says why a design must not run,
+    ``nearest`` is the nearest stable one. ``position_loop`` is the one designed around it, ``kept_position_loop`` has
+    the loops with that of the axis file. ``load_range`` and ``mismatch`` are included if the verdict has them.
     """
     verdict = verdict or DesignVerdict(design)
     document = {**design.to_dict(), **verdict.to_dict(), "structures": structures_side_by_side(design)}

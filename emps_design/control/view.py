@@ -1,7 +1,7 @@
-"""What designs of loops show: the verdict first, then gains, margins at each place, limits and structures.
+"""Views of loop designs: the verdict, gains, margins at each place, limits and structures.
 
-Beside the velocity loop: a suggested filter, the position loop around it, the range of loads, the margins on measured
-responses with their 95 % bands, and the force loop around it.
+They also show a suggested filter, the position loop around a velocity loop, the range of loads, the margins on measured
+responses with their 95 % bands, and the force loop.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def number(value: float | None, digits: int = 4, nothing: str = "unbounded") -> 
 
 
 def gains_view(document: dict[str, Any], units: Units) -> View:
-    """What the document of ``gains`` shows."""
+    """The view of the document of ``gains``."""
     return (
         verdict_line(document["stable"], what_is_judged(document)),
         Line(worst_in_words(document["worst_loop"], units)),
@@ -68,7 +68,7 @@ def gains_view(document: dict[str, Any], units: Units) -> View:
 
 
 def velocity_loop_view(document: dict[str, Any], units: Units) -> View:
-    """What the document of a velocity loop alone shows: whether it is stable, gains and margins."""
+    """The view of the document of a velocity loop: stability, gains and margins."""
     return (
         verdict_line(document["sampled"]["stable"], what_is_judged(document)),
         _gains(document, units),
@@ -78,12 +78,12 @@ def velocity_loop_view(document: dict[str, Any], units: Units) -> View:
 
 
 def verdict_line(stable: bool, what: str) -> Line:
-    """Whether ``what`` is stable."""
+    """A line that says whether ``what`` is stable."""
     return Line(f"{what} is stable", "good") if stable else Line(f"{what} is UNSTABLE", "bad")
 
 
 def warning_lines(warnings: list[str]) -> list[Line]:
-    """The warnings of a document, a line each."""
+    """One line for each of the ``warnings``."""
     return [Line(warning, "note") for warning in warnings]
 
 
@@ -112,7 +112,7 @@ def _gains(document: dict[str, Any], units: Units) -> Table:
             ("damping ratio z_v, ideal", "z_v", "", 1.0),
         )
     ]
-    gains = "gains retuned, for the loop as sampled" if document["retuned"] else "gains by (7)"
+    gains = "gains retuned for the sampled loop" if document["retuned"] else "gains by (7)"
     return Table(("", "value", "unit", "requested"), rows, f"Velocity loop, {gains}; ideal: closed forms")
 
 
@@ -139,7 +139,7 @@ def _margins(document: dict[str, Any]) -> list[Table]:
             for label, key, unit, scale in (*MARGINS, *more)
             if key != "gain_reduction_margin" or any(place[key] is not None for place in places.values())
         ]
-        return Table(("", *places, *(["asked"] if limits else []), "unit"), rows, f"Broken at the {broken}")
+        return Table(("", *places, *(["requested"] if limits else []), "unit"), rows, f"Broken at the {broken}")
 
     at_plant["ideal"] = {**at_plant["ideal"], "bandwidth": document["bandwidth"]}
     return [table("plant input", at_plant, CLOSED), table("velocity error", at_error)]
@@ -154,9 +154,9 @@ def _cell(value: float | None, scale: float = 1.0) -> str:
 
 
 def _notes(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
-    """What the columns leave out, the structures, and the limits of margin, step and noise."""
+    """The assumptions of the columns, the structures, and the limits of margin, step and noise."""
     left_out = document["closed_forms_leave_out"]
-    yield Line("sampled: everything is in it" + "; with lags: without the sampling" * (len(left_out) > 1))
+    yield Line("sampled: the complete model" + "; with lags: without the sampling" * (len(left_out) > 1))
     yield Line(f"ideal: without {', '.join(left_out)}")
     yield _structures(document)
     if not document["retuned"]:  # the range is that of the gains of (7)
@@ -171,14 +171,14 @@ def _notes(document: dict[str, Any], units: Units) -> Iterator[Line | Table]:
     )
     yield Line(
         f"largest velocity step before {limit}: {units.quantity(step['value'], 'm/s')} "
-        f"({per_unit} per {units.unit('m/s')}, dry friction takes {friction})"
+        f"({per_unit} per {units.unit('m/s')}, dry friction needs {friction})"
     )
     rms, one = (units.quantity(noise[key], "mV", ".3g") for key in ("rms", "one_step"))
-    yield Line(f"{units.word('voltage')} noise of the encoder: {rms} rms, {one} per step")
+    yield Line(f"{units.word('voltage')} noise due to the encoder: {rms} rms, {one} per step")
 
 
 def what_is_judged(document: dict[str, Any]) -> str:
-    """The subject of the verdict of ``gains``: the loops, and the machines on which they run."""
+    """The subject of the verdict of ``gains``: the loops, and the plants on which they run."""
     parts = [f"{document['axis']}: sampled velocity loop, {structure_in_words(document)}"]
     if "position_loop" in document:
         parts.append("with the position loop around it")
@@ -191,7 +191,7 @@ def what_is_judged(document: dict[str, Any]) -> str:
 
 
 def worst_in_words(worst: dict[str, Any], units: Units) -> str:
-    """The worst loop of a design in words: its name, the machine it is on, and its margins."""
+    """The worst loop of a design in words: its name, its plant, and its margins."""
     has = "unstable"
     if worst["stable"]:
         gain = number(worst["gain_margin"], 3)
@@ -215,10 +215,10 @@ def structure_in_words(document: dict[str, Any]) -> str:
 
 
 def _structures(document: dict[str, Any]) -> Table:
-    """Bandwidth and overshoot of the same gains in each structure, with a mark at that of the design."""
+    """Bandwidth and overshoot of the same gains in each structure; > marks that of the design."""
     rows = []
     for row in document["structures"]:
-        own = (row["structure"], row["reference_filter"]) == (document["structure"], document["reference_filter"])
+        chosen = (row["structure"], row["reference_filter"]) == (document["structure"], document["reference_filter"])
         sampled = row["sampled"]
         cells = [f"{row['bandwidth'] / HERTZ:.4g} Hz", f"{row['overshoot_percent']:.3g} %"]
         if sampled:
@@ -227,7 +227,7 @@ def _structures(document: dict[str, Any]) -> Table:
             cells.append(f"{sampled['overshoot_percent']:.3g} %")
         else:
             cells += ["unstable"] * 2
-        rows.append((f"{'>' if own else ' '} {row['label']}", *cells))
+        rows.append((f"{'>' if chosen else ' '} {row['label']}", *cells))
     return Table(("", "-3 dB", "overshoot", "sampled", "overshoot"), rows, "The same gains in each structure")
 
 
@@ -286,13 +286,13 @@ def _suggestion(suggestion: dict[str, Any], units: Units) -> Iterator[Line | Tab
     title = f"Fastest loop with {margin} deg and a gain margin of {least} or more"
     yield Table(("", *(name for name, _ in sides), "unit"), rows, title)
     if "model" in suggestion:
-        yield Line(f"found on {suggestion['model']}, then tried on the data")
+        yield Line(f"designed on {suggestion['model']}, then checked on the data")
     for name, side in sides:
-        yield Line(f"what binds first, {name}: {side['limits']['binding']}")
+        yield Line(f"binding limit, {name}: {side['limits']['binding']}")
     if suggestion.get("these_gains"):
         yield Line(suggestion["these_gains"])
     if table_of_filter is None:
-        yield Line("no notch or low-pass makes it a tenth faster")
+        yield Line("no notch or low-pass increases the crossover by 10 %")
 
 
 def _on_data(side: dict[str, Any], key: str) -> str:
@@ -308,7 +308,7 @@ def _position_loop(design: dict[str, Any], units: Units) -> Iterator[Line | Tabl
     for label, key, name, unit in (
         ("overshoot of a step", "overshoot_percent", "overshoot", "%"),
         ("bandwidth, -3 dB", "bandwidth", "bandwidth", "rad/s"),
-        (f"step of {units.word('force')} over displacement", "stiffness", "stiffness", units.unit("N/m")),
+        (f"stiffness against a {units.word('force')} step", "stiffness", "stiffness", units.unit("N/m")),
     ):
         rows.append((label, _cell(design[key]), unit, number(value) if name == requested else ""))
     for loop in design["loops"]:
@@ -338,7 +338,7 @@ def _kept_loops(loops: list[dict[str, Any]]) -> View:
 
 
 def _load_range(load_range: dict[str, Any], units: Units) -> View:
-    """Margins of the gains over the range of loads, and gains that hold over it."""
+    """Margins of the gains over the range of loads, and gains that meet the specification over it."""
     at, points = load_range["at"].replace("-", " "), load_range["points"]
     columns: list[tuple[str, str, Callable[[dict[str, Any]], dict[str, Any]]]] = [
         (f"{at}: phase", "phase_margin_deg", lambda point: point),
@@ -358,7 +358,7 @@ def _load_range(load_range: dict[str, Any], units: Units) -> View:
         values["delay"] = f"{1e3 * point['delay']:.3g} ms"
         rows.append((*(values[name] for name in vary), *cells))
     schedule = [(number(step["inertia"]), step["gains"]) for step in load_range["schedule"]]
-    kept = [
+    holding = [
         (name, *([number(gains[key], 5) for key in ("k_v1", "t_v", "slowest_crossover")] if gains else ["none"] * 3))
         for name, gains in [("all", load_range["one"]), *schedule]
     ]
@@ -370,7 +370,7 @@ def _load_range(load_range: dict[str, Any], units: Units) -> View:
     )
     return (
         Table((*vary, *(name for name, _, _ in columns)), rows, "Margins of these gains over the range, sampled"),
-        Table(headings, kept, "Gains that hold"),
+        Table(headings, holding, "Gains that meet the specification"),
         Line(load_range["text"]),
     )
 
@@ -380,7 +380,7 @@ def _on_measured_plants(measured: dict[str, Any] | None) -> View:
         return ()
     loops = [(measured, "velocity loop")]
     loops += [(measured["whole_loop"], "whole loop")] if "whole_loop" in measured else []
-    words = "in brackets: 95 % band from the data's deviations; below, above: the first antiresonance"
+    words = "in brackets: 95 % band from the deviations of the data; below, above: of the first antiresonance"
     return tuple(part for of_loop, name in loops for part in (_on_measured(of_loop, name), Line(words)))
 
 
@@ -396,7 +396,7 @@ def _on_measured(measured: dict[str, Any], loop: str) -> Table:
         worst = [_with_band(measured[key], None, scale)] if several else []
         limit = [f"at most {limits[key]:.4g}" if key in limits else ""] if limits else []
         rows.append((label, *cells, *worst, unit, *limit))
-    headings = ("", *names, *(["worst"] if several else []), "unit", *(["asked for"] if limits else []))
+    headings = ("", *names, *(["worst"] if several else []), "unit", *(["requested"] if limits else []))
     return Table(headings, rows, f"On the measured plant, {loop} at the plant input")
 
 
@@ -407,15 +407,15 @@ def _with_band(value: float | None, band: list[float] | None, scale: float) -> s
 
 
 def force_view(document: dict[str, Any], units: Units) -> View:
-    """What the document of ``force`` shows: stability, then gains and operator, the limits of k_e1, margins, poles."""
+    """The view of the document of ``force``: stability, gains and operator, the limits of k_e1, margins, poles."""
     operator, limits, reading = document["operator"], document["k_e1_max"], document["paper_reading"]
     force = units.word("force")
-    what = f"{document['axis']}: sampled {force} loop, around a velocity loop that runs without contact too,"
+    what = f"{document['axis']}: sampled {force} loop, with its velocity loop in contact and without,"
     rows = [
         (units.words(label), number(value, 5), units.unit(unit))
         for label, value, unit in (
             ("k_e1", document["k_e1"], "(m/s)/N"),
-            ("k_c = 1/k_e1, felt at low frequency", document["k_c"], "N/(m/s)"),
+            ("k_c = 1/k_e1, apparent damping", document["k_c"], "N/(m/s)"),
             ("apparent mass, low-frequency match", document["apparent_mass"], "kg"),
             ("hand k_h", operator["hand"], "N/(m/s)"),
             ("environment K_env", operator["environment"], "N/m"),
@@ -423,7 +423,7 @@ def force_view(document: dict[str, Any], units: Units) -> View:
     ]
     by_place = [
         (units.words(label), *(number(limits[key][kind], 5) for kind in ("continuous", "sampled")))
-        for label, key in (("the sensor only", "sensor_only"), ("sensor and carriage", "sensor_and_carriage"))
+        for label, key in (("sensor only", "sensor_only"), ("sensor and carriage", "sensor_and_carriage"))
     ]
     headings = (units.words("operator's force on"), "continuous, closed form", "sampled, by its poles")
     poles = ", ".join(f"{re:.4g}{im:+.4g}j" for re, im in document["continuous"]["poles"])
@@ -435,7 +435,7 @@ def force_view(document: dict[str, Any], units: Units) -> View:
         Table(headings, by_place, f"Largest k_e1 [{units.unit('(m/s)/N')}]"),
         Line(f"margins of the sampled {force} loop: {_in_one_line(document['margins'])}"),
         Line(f"continuous poles: {poles} rad/s"),
-        Line(f"the paper's own reading, {reading['loop']}: poles {paper} rad/s"),
+        Line(f"the paper's formulation, {reading['loop']}: poles {paper} rad/s"),
         Line(reading["text"]),
         Line(f"sign: {operator['sign']}"),
         *([Line(f"axis file with this controller: {document['out']}")] if "out" in document else []),

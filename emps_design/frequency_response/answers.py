@@ -1,23 +1,23 @@
 """Spectra of position and command in answer to the instrument: periodic, stepped and broadband excitation.
 
 Periodic excitation. Whole periods are transformed, so no power leaks. A stretch of P periods of N samples has a
-spectrum of P N lines, of which at most every P-th is excited. The others hold noise and the transient, which is smooth
-in frequency. A parabola through the lines around an excited one that are no multiples of P gives the transient at that
-line, which is subtracted, and its residuals give the noise: the covariance of position and command from one stretch.
-Lines at multiples of P without excitation hold the nonlinear distortion above that noise. Source: R. Pintelon and
-J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters 3, 4 and 7.
+spectrum of P N lines, of which at most every P-th is excited. The others contain noise and the transient, which is
+smooth in frequency. A parabola through the lines around an excited one that are not multiples of P gives the transient
+at that line, which is subtracted, and its residuals give the noise: the covariance of position and command from one
+stretch. Lines at multiples of P without excitation contain the nonlinear distortion in addition to that noise. Source:
+R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., chapters 3, 4 and 7.
 
-Nonlinear distortion. At base-period lines without excitation a linear plant answers with noise alone, which the lines
-between give. Where only odd lines are excited, a nonlinearity that is even in the motion answers at even lines and an
-odd one, such as dry friction at reversals, at odd lines. Feedback moves the command at these lines too, so the linear
+Nonlinear distortion. At lines of the base period without excitation a linear plant has only noise, which the lines
+between give. Where only odd lines are excited, a nonlinearity that is even in the motion shows at even lines and an odd
+one, such as dry friction at reversals, at odd lines. Feedback acts on the command at these lines too, so the linear
 answer to the command is subtracted first. Source: the same book, chapter 4.
 
-Broadband excitation. Long blocks resolve a resonance; in short ones a sweep stands out of the noise while it passes. So
-blocks of several lengths are answered, and the estimate takes each part of the band from one of them. Short blocks also
-smooth the response: that bias shows as the difference to blocks of half the length.
-Since it grows with the square of the line width, the longer blocks have a third of the difference. What a parabola
-between the lines misses shows as the difference to a fourth-order polynomial; what the windows of averaged spectra cut
-off, as the last of the correction terms.
+Broadband excitation. Long blocks resolve a resonance; short ones have a better signal-to-noise ratio while a sweep
+passes. So the answer is computed for several block lengths, and the estimate takes each part of the band from one of
+them. Short blocks also smooth the response: the difference to blocks of half the length shows that bias. Since it grows
+with the square of the line width, the longer blocks have a third of the difference. The difference to a fourth-order
+polynomial shows the interpolation error of the parabola; the last of the correction terms shows the truncation error of
+the windows of averaged spectra.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def spectra(signals: Signals, highest: float) -> list[Spectra]:
             periods -= 1
         if periods >= 2:
             begin = stop - periods * signals.repeats
-            by_stretch.append(_stretch(signals, begin, periods, highest))
+            by_stretch.append(_spectra_of_stretch(signals, begin, periods, highest))
     return by_stretch
 
 
@@ -110,14 +110,18 @@ def step_spectra(signals: Signals, step: Step) -> Spectra:
     """Spectra of one ``step`` of a stepped sine, at its line."""
     periods = (step.stop - step.start) // step.samples
     just_above = (step.turns + 0.5) / (step.samples * signals.period)
-    whole = _stretch(replace(signals, repeats=step.samples), step.stop - periods * step.samples, periods, just_above)
+    whole = _spectra_of_stretch(
+        replace(signals, repeats=step.samples), step.stop - periods * step.samples, periods, just_above
+    )
     return whole.at(np.array([step.turns - 1]))
 
 
-def _stretch(signals: Signals, begin: int, periods: int, highest: float) -> Spectra:
+def _spectra_of_stretch(signals: Signals, begin: int, periods: int, highest: float) -> Spectra:
     size = periods * signals.repeats
     part = slice(begin, begin + size)
-    r, *z = (scipy.fft.rfft(_level(values[part], periods)) / size for values in (signals.r, signals.dq, signals.u))
+    r, *z = (
+        scipy.fft.rfft(_without_trend(values[part], periods)) / size for values in (signals.r, signals.dq, signals.u)
+    )
     both = np.stack(z, axis=-1)
     last = min((r.size - 2) // periods, int(highest * signals.period * signals.repeats + 1e-9))
     line = np.arange(1, last + 1)
@@ -150,7 +154,7 @@ def _stretch(signals: Signals, begin: int, periods: int, highest: float) -> Spec
     return Spectra(line, r[at], both[at] - transient, noise, LINES - ORDER - 1, periods, excited, more, by_chance)
 
 
-def _level(values: np.ndarray, periods: int) -> np.ndarray:
+def _without_trend(values: np.ndarray, periods: int) -> np.ndarray:
     """``values`` without their mean and the trend of the means of their periods, to which no excitation contributes."""
     means = values.reshape(periods, -1).mean(axis=1)
     place = np.arange(periods) - 0.5 * (periods - 1)
@@ -269,11 +273,11 @@ def periodic_answer(signals: list[Signals], highest: float, report_progress: Pro
     for record in signals:
         if not record.repeats:
             raise RecordError(
-                f"{record.name}: the {record.kind} repeats nowhere, expected two whole periods on one pass"
+                f"{record.name}: found no period in the {record.kind}, expected two whole periods on one pass"
             )
     if len({record.repeats for record in signals}) > 1:
         every = ", ".join(f"{record.name}: {record.repeats * record.period:g} s" for record in signals)
-        raise RecordError(f"found periods that differ ({every}), expected the same excitation in every record")
+        raise RecordError(f"found different periods ({every}), expected the same excitation in every record")
     stretches: list[Spectra] = []
     for i, record in enumerate(signals):
         report_progress("spectra", i / len(signals))
@@ -281,15 +285,15 @@ def periodic_answer(signals: list[Signals], highest: float, report_progress: Pro
     excited = np.all([stretch.excited for stretch in stretches], axis=0)
     if np.count_nonzero(excited) < 4:
         raise RecordError(
-            f"{signals[0].name}: found {np.count_nonzero(excited)} excited lines, expected at least 4; excite more of "
-            "the band, or more strongly"
+            f"{signals[0].name}: found {np.count_nonzero(excited)} excited lines, expected at least 4; excite a larger "
+            "part of the band, or increase the amplitude"
         )
     line = stretches[0].line[excited]
     frequency = line / (signals[0].repeats * signals[0].period)
     answer, ratio, scatter = _mean([stretch.at(excited) for stretch in stretches], frequency)
     distortion = distortion_of(stretches, excited, float(frequency[0] / line[0]), answer.z[:, 0] / answer.z[:, 1])
     periods = sum(stretch.periods for stretch in stretches)
-    repeated = _steps(stretches, excited)
+    repeated = _repeated_steps(stretches, excited)
     return answer, Extra(len(stretches), periods, periods, lambda: ratio, scatter, distortion, repeated)
 
 
@@ -306,10 +310,10 @@ def stepped_answer(signals: list[Signals], highest: float, report_progress: Prog
         found = "1 step" if len(lines) == 1 else f"{len(lines)} steps"
         raise RecordError(
             f"{signals[0].name}: found {found} at different lines, expected at least 4; give the records of the other "
-            "lines with it"
+            "lines too"
         )
     means = [_mean(lines[f], np.array([f])) for f in sorted(lines)]
-    repeated = _steps([stretch for f in lines for stretch in lines[f]], np.array([True]))
+    repeated = _repeated_steps([stretch for f in lines for stretch in lines[f]], np.array([True]))
     answers = [answer for answer, _, _ in means]
     answer = Answer(
         np.concatenate([answer.frequency for answer in answers]),
@@ -325,7 +329,7 @@ def stepped_answer(signals: list[Signals], highest: float, report_progress: Prog
     return answer, Extra(steps, round(blocks_of), blocks_of, lambda: ratio, scatter, steps=repeated)
 
 
-def _steps(stretches: list[Spectra], excited: np.ndarray) -> float:
+def _repeated_steps(stretches: list[Spectra], excited: np.ndarray) -> float:
     """Power of the encoder's steps that repeats over what would by chance; 1 where it is not most of the noise."""
     share = np.median([stretch.repeated[excited] / stretch.noise[excited, 0, 0].real for stretch in stretches])
     return float(np.median([stretch.by_chance for stretch in stretches])) if share > 0.5 else 1.0
@@ -414,17 +418,17 @@ def _answers_by_length(
         if samples >= longest:
             break
     if not answers:
-        raise refused or RecordError(f"{signals[0].name}: found no stretch that can be used")
+        raise refused or RecordError(f"{signals[0].name}: found no usable stretch")
     return answers
 
 
 def _bias(answer: Answer, *shorter: Answer) -> np.ndarray:
     """Relative variance (m,) of the systematic error, from a finer interpolation and from blocks of half the length."""
     variance = np.maximum(_smooth(answer.interpolation), 0.0)
-    return np.max([variance, *(REST**2 * _apart(answer, other) for other in shorter)], axis=0)
+    return np.max([variance, *(REST**2 * _difference_variance(answer, other) for other in shorter)], axis=0)
 
 
-def _apart(answer: Answer, shorter: Answer) -> np.ndarray:
+def _difference_variance(answer: Answer, shorter: Answer) -> np.ndarray:
     """Relative variance (m,) by which blocks of half the length differ, less the contribution of noise.
 
     Beyond their lowest and highest line it is that of the nearest line.
@@ -455,7 +459,7 @@ def _averaged(answers: list[Answer]) -> Answer:
     excited = weights.sum(axis=0) > 0.0
     if np.count_nonzero(excited) < 4:
         raise RecordError(
-            f"found {np.count_nonzero(excited)} lines that the instrument excites, expected at least 4 between the "
+            f"found {np.count_nonzero(excited)} excited lines, expected at least 4 between the "
             "lowest and the highest frequency: excite that band"
         )
     weights = weights[:, excited]

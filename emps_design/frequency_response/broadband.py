@@ -150,7 +150,7 @@ def welch(signals: Signals, samples: int, lowest: float, highest: float) -> Answ
     if count < FEWEST_BLOCKS:
         raise RecordError(
             f"{signals.name}: found {count} blocks of {samples * signals.period:g} s, expected at least "
-            f"{FEWEST_BLOCKS} for averaged spectra; record for longer, or take local-polynomial"
+            f"{FEWEST_BLOCKS} for averaged spectra; make a longer record, or use local-polynomial"
         )
     step = 1.0 / (samples * signals.period)
     lines = np.arange(max(2, int(np.ceil(lowest / step - 1e-9))), min(int(highest / step + 1e-9), samples // 2 - 1) + 1)

@@ -157,12 +157,12 @@ class MassChain:
 
     @property
     def warnings(self) -> tuple[Message, ...]:
-        """Messages where the chain misses the response, or where its friction or delay is negative."""
+        """Messages where the chain does not fit the response, or where its friction or delay is negative."""
         messages = []
         if self.misfit > MISSED:
             text = (
-                f"{self.label} with a delay miss the response by {self.misfit:.2g} deviations, expected about 1: their "
-                "values and intervals say nothing"
+                f"{self.label} with a delay do not fit the response: residuals {self.misfit:.2g} standard deviations, "
+                "expected about 1; their values and intervals are not valid"
             )
             messages.append(warning("chain-misses-response", text, misfit=self.misfit))
         values = self.parameters
@@ -174,8 +174,8 @@ class MassChain:
             value, std, _ = values[name]
             if value < -CERTAINLY * std:
                 text = (
-                    f"{self.label}: found a {name} {-value / std:.3g} deviations below 0, expected at least 0: {what}; "
-                    "check sign and unit of the command, and the computation delay of the axis"
+                    f"{self.label}: found a {name} {-value / std:.3g} standard deviations below 0, expected at least "
+                    f"0: {what}; check sign and unit of the command, and the computation delay of the axis"
                 )
                 messages.append(warning("negative-parameter", text, parameter=name, value=value, std=std))
         return tuple(messages)
@@ -189,7 +189,7 @@ class MassChain:
             else (units.words(name.replace("_", " ")), "not determined", "", "")
             for name, (value, std, of) in self.parameters.items()
         ]
-        title = f"Fitted, {units.words(self.label)}; residuals {self.misfit:.2g} deviations"
+        title = f"Fitted, {units.words(self.label)}; residuals {self.misfit:.2g} standard deviations"
         return Table(("", "value", "std", "unit"), rows, title)
 
     def to_dict(self) -> dict[str, Any]:
@@ -268,7 +268,7 @@ def fit_chain(response: FrequencyResponse, most: int = MOST, units: Units = LINE
         if candidate is None:
             break
         criterion.append(_criterion(candidate, len(response)))
-        if criterion[-1] < lowest - CLEARLY and _certain(candidate, response):
+        if criterion[-1] < lowest - CLEARLY and _is_determined(candidate, response):
             best, lowest = candidate, criterion[-1]
     return replace(best, criterion=tuple(criterion), units=units)
 
@@ -317,7 +317,7 @@ def _cauer(total: float, pairs: Sequence[tuple[float, float]]) -> tuple[np.ndarr
 def _best_fit(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]], delay: float) -> MassChain | None:
     """The best fit from several starts with ``delay`` [s]; None without a valid start, or with too few lines."""
     s = 1j * response.w
-    weight = np.sqrt(2.0) / np.hypot(_expected(response.std), SYSTEMATIC)
+    weight = np.sqrt(2.0) / np.hypot(_smoothed_std(response.std), SYSTEMATIC)
     best: Any = None
     for masses, springs, dampers in starts:
         n = len(masses)
@@ -358,7 +358,7 @@ def _best_fit(response: FrequencyResponse, starts: Sequence[tuple[Any, Any, Any]
     return MassChain(*split(theta, n), float(theta[-2]), float(theta[-1]), covariance, misfit)
 
 
-def _expected(std: np.ndarray) -> np.ndarray:
+def _smoothed_std(std: np.ndarray) -> np.ndarray:
     """Standard deviations (n,) smoothed: the median of the neighbours, within a factor of two of the line's own.
 
     The relative deviation of a line that is too large by chance is too small; with that weight the masses would come
@@ -373,7 +373,7 @@ def _criterion(chain: MassChain, lines: int) -> float:
     return count * math.log(max(chain.misfit, 1e-3) ** 2 * (count - parameters) / count) + parameters * math.log(count)
 
 
-def _certain(chain: MassChain, response: FrequencyResponse) -> bool:
+def _is_determined(chain: MassChain, response: FrequencyResponse) -> bool:
     """Whether all masses and springs are determined and all resonances lie among the lines."""
     n = chain.masses.size
     known = np.sqrt(np.diag(chain.covariance))[: 2 * n - 1]

@@ -105,12 +105,12 @@ def excess_variance(
             for level, other in ((variance, expected), (1.0 / power, by_motion))
         )
         difference = np.where(closer, size, difference)
-    usual = _usual(difference / np.maximum(expected, 1e-300))
-    excess = np.where(usual > CLEARLY, _usual(difference / by_motion), 0.0)
+    usual = _mean_by_median(difference / np.maximum(expected, 1e-300))
+    excess = np.where(usual > CLEARLY, _mean_by_median(difference / by_motion), 0.0)
     return np.interp(np.arange(n), centre, excess) / power
 
 
-def _usual(ratio: np.ndarray) -> np.ndarray:
+def _mean_by_median(ratio: np.ndarray) -> np.ndarray:
     """The mean of noise powers with the running median of ``ratio`` (m,), which is chi-squared with two degrees."""
     size = min(2 * AROUND + 1, ratio.size)
     return np.asarray(scipy.ndimage.median_filter(ratio, size, mode="nearest")) / np.log(2.0)
@@ -224,7 +224,7 @@ class ResponseEstimate(Viewed):
             return []
         levels = self.distortion.to_dict()
         words = ", ".join(f"{name} {100 * level:.2g} %" for name, level in levels.items() if level is not None)
-        return [Line(f"of the linear answer, one period: {words} (odd, even: nonlinear distortion)", "prose")]
+        return [Line(f"relative to the linear answer, one period: {words} (odd, even: nonlinear distortion)", "prose")]
 
 
 def estimate_response(
@@ -267,7 +267,7 @@ def estimate_response(
     _check_excitation(several, axis, instrument)
     if instrument == COMMAND:  # in open loop the whole command is the excitation
         several, instrument = [replace(record, excitation=record.u) for record in several], EXCITATION
-    signals = [signals_of(_driven(record, axis), instrument) for record in several]
+    signals = [signals_of(_with_acting_command(record, axis), instrument) for record in several]
     method = _method(signals) if method == "auto" else method
     report_progress = progress or no_progress
     if method == "periodic":
@@ -287,13 +287,14 @@ def _check_excitation(records: list[Record], axis: Axis, instrument: str) -> Non
         added = record.u if instrument == COMMAND else record.excitation
         if added is not None and np.ptp(added) > 0.0 and np.allclose(added, record.u, rtol=1e-9, atol=0.0):
             raise RecordError(
-                f"{record.name}: found the command as the excitation too, expected what was added to the output of the "
-                f"controller of {axis.name} ({axis.controller.kind}), whose feedback is in the command; of a record "
+                f"{record.name}: found the command as the excitation too, expected the signal added to the output of "
+                f"the controller of {axis.name} ({axis.controller.kind}): the command contains its feedback; for a "
+                "record "
                 'made in open loop the axis file has kind = "none" in [controller]'
             )
 
 
-def _driven(record: Record, axis: Axis) -> Record:
+def _with_acting_command(record: Record, axis: Axis) -> Record:
     """The record with the command that, times ``axis.drive.gain``, is the force at its supply and motor switch.
 
     Supply and switch are those at the time at which the command acts, the computation delay after its sample.
@@ -343,14 +344,14 @@ class Lines:
     kept: np.ndarray
 
 
-def _lines(answer: Answer, extra: Extra, method: str, low: float, highest: float) -> Lines:
+def _lines_of(answer: Answer, extra: Extra, method: str, low: float, highest: float) -> Lines:
     """The lines of ``answer`` with all of their variance, those from ``low`` to ``highest`` [Hz] to be kept."""
     f, z_q, z_u = answer.frequency, answer.z[:, 0], answer.z[:, 1]
     variance, freedom = answer.variance, answer.freedom
     if method != "stepped":  # its lines are far apart, each with its own amplitude
         variance = _pooled(variance, np.abs(z_q / z_u))
         freedom *= min(POOLED, variance.size) * (1.0 if method == "periodic" else 0.5)
-    variance = variance * max(1.0, extra.scatter) * _for_few(freedom)
+    variance = variance * max(1.0, extra.scatter) * _few_degrees_factor(freedom)
     power = answer.weight * _near(np.abs(z_q) ** 2, np.median)
     if extra.distortion is not None:
         variance = variance + extra.distortion.odd_variance(f, power)
@@ -405,7 +406,7 @@ def _estimate(
     highest: float,
 ) -> ResponseEstimate:
     """The response and its deviations from the ``answers`` of the loop, from short blocks to long ones."""
-    lengths = [_lines(answer, extra, method, low, highest) for answer, extra in answers]
+    lengths = [_lines_of(answer, extra, method, low, highest) for answer, extra in answers]
     masks = longest_blocks(lengths)
     parts = [(lines, extra, mask & lines.kept) for lines, (_, extra), mask in zip(lengths, answers, masks, strict=True)]
     count, most = (sum(map(np.count_nonzero, several)) for several in ([kept for *_, kept in parts], masks))
@@ -418,8 +419,8 @@ def _estimate(
                 "a band; excite more frequencies, in whole periods of all of them"
             )
         raise RecordError(
-            f"{name}: found {count} of {most} lines on which the {signals[0].kind} stands out of "
-            "the noise, expected at least 4: the coherence is too low; excite more strongly, or for longer"
+            f"{name}: found {count} of {most} lines where the answer to the {signals[0].kind} is above the noise, "
+            "expected at least 4: the coherence is too low; increase the amplitude or the duration"
         )
     parts = [part for part in parts if np.any(part[2])]
     columns = [
@@ -460,7 +461,7 @@ def _estimate(
         axis,
         (
             *(text for record in records for text in (*record.contradictions, *record.gaps_in_words)),
-            *_words(response, extra, reversals, rest, seconds, left_out, axis.units),
+            *_messages(response, extra, reversals, rest, seconds, left_out, axis.units),
         ),
     )
 
@@ -484,12 +485,12 @@ def _near(power: np.ndarray, kind: Callable[..., np.ndarray]) -> np.ndarray:
     return kind(power[neighbours(power.size, min(POOLED // 2, (power.size - 1) // 2))], axis=1)
 
 
-def _for_few(freedom: float) -> float:
+def _few_degrees_factor(freedom: float) -> float:
     """Factor on a variance of ``freedom`` degrees so that the circle of known noise still holds 95 %."""
     return float(scipy.stats.f.ppf(0.95, 2.0, 2.0 * max(freedom, 1.0)) / BAND**2)
 
 
-def _words(
+def _messages(
     response: FrequencyResponse,
     extra: Extra,
     reversals: int,
@@ -508,27 +509,27 @@ def _words(
         messages.append(wrong("wrong-sign", text, phase_deg=float(response.phase_deg[0])))
     if reversals > extra.passes or rest > RESTING:
         text = (
-            f"the {carriage} reverses {reversals} times in {seconds:.3g} s and rests {100 * rest:.2g} % of it: dry "
-            "friction biases the response, most at low frequencies, and no deviation shows it; excite it on a running "
-            f"{carriage}"
+            f"the {carriage} reverses {reversals} times in {seconds:.3g} s and is at rest {100 * rest:.2g} % of the "
+            f"time: dry friction biases the response, mostly at low frequencies, and the standard deviations do not "
+            f"include this bias; excite the {carriage} while it moves steadily"
         )
         messages.append(warning("dry-friction-biases", text, reversals=reversals, rest=rest))
     if extra.scatter > 2.0:
         text = (
-            f"the passes differ {np.sqrt(extra.scatter):.2g} times as much as noise explains, and the deviations are "
-            "as much larger: the plant depends on position, direction or time"
+            f"the passes differ {np.sqrt(extra.scatter):.2g} times as much as noise explains, and the standard "
+            "deviations are increased by this factor: the plant depends on position, direction or time"
         )
         messages.append(warning("passes-differ", text, scatter=extra.scatter))
     if extra.steps > REPEATED:
         text = (
-            f"the encoder's steps repeat with the excitation, {extra.steps:.2g} times as much as by chance, and the "
-            f"deviations are raised for it: the {carriage} runs whole steps, or a simple share of one, in each period; "
-            "excite it at a slightly different speed"
+            f"the quantisation error repeats with the excitation, {extra.steps:.2g} times as much as by chance, and "
+            f"the standard deviations are increased for it: in each period the {carriage} moves by whole encoder "
+            "steps, or a simple fraction of one; use a slightly different speed"
         )
         messages.append(warning("encoder-steps-repeat", text, steps=extra.steps))
     if extra.distortion is not None:
         messages += extra.distortion.warnings
     if left_out:
-        text = f"{left_out} lines left out: beyond the band, or the answer does not stand out of the noise there"
+        text = f"{left_out} lines left out: outside the band, or the answer is not above the noise"
         messages.append(note("lines-left-out", text, count=left_out))
     return messages

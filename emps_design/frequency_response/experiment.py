@@ -45,7 +45,7 @@ ROOM = 0.9  # share of a limit that is used
 TRIES = 12
 SHRINKS, STEP = 0.98, 0.5  # factors on an excitation that exceeds a limit: beside the linear estimate, and without one
 
-TURNING = 0.8  # share of the steady speed that the excitation may take
+EXCITED_SPEED = 0.8  # share of the steady speed that the excitation may take
 STEEPEST = 10.0  # largest excitation over command: below the crossover the controller opposes the excitation
 SLOWER = 0.5  # largest relative reduction of the speed that keeps the encoder's steps from repeating
 TRIED = 2000  # speeds
@@ -77,7 +77,7 @@ def check_request(
     """
     speed, low, resolution, steps = request.speed, request.low, request.resolution, request.steps
     if not 0.0 < low < high:
-        raise InputError(f"frequencies: found {low:g} to {high:g} Hz, expected a rising pair above 0")
+        raise InputError(f"frequencies: found {low:g} to {high:g} Hz, expected 0 < lowest < highest")
     if high >= nyquist:
         raise InputError(f"frequency: found {high:g} Hz, expected less than the Nyquist frequency, {nyquist:g} Hz")
     if not 0.0 < resolution <= 0.5 * (high - low):
@@ -101,12 +101,12 @@ def check_length(samples: float, period: float) -> None:
     Traceback (most recent call last):
         ...
     emps_design.errors.InputError: stroke: found an experiment of 6e+03 s, expected at most 5e+03 s (5000000 samples): \
-take a shorter stroke, a higher speed, or fewer passes
+use a shorter stroke, a higher speed, or fewer passes
     """
     if samples > LONGEST:
         raise InputError(
             f"stroke: found an experiment of {samples * period:.3g} s, expected at most {LONGEST * period:.3g} s "
-            f"({LONGEST} samples): take a shorter stroke, a higher speed, or fewer passes"
+            f"({LONGEST} samples): use a shorter stroke, a higher speed, or fewer passes"
         )
 
 
@@ -153,18 +153,18 @@ def rehearse(axis: Axis, bounds: list[Bound], signals: Callable[[float], LoopInp
 
     Raises :class:`InputError` where the passes alone exceed a bound.
     """
-    alone = _reached(axis, signals(0.0))
+    alone = _peaks(axis, signals(0.0))
     if alone is None:
-        raise InputError("speed: the passes alone cannot be simulated, expected a lower speed")
+        raise InputError("speed: the passes without excitation cannot be simulated; use a lower speed")
     for bound in bounds:
         if bound.reached(alone) > bound.limit:
             raise InputError(
-                f"{bound.name}: the passes alone reach {bound.reached(alone):.4g} {bound.unit}, expected at most "
-                f"{bound.limit:.4g} {bound.unit}: a lower speed, or more stroke to run to it"
+                f"{bound.name}: the passes without excitation reach {bound.reached(alone):.4g} {bound.unit}, expected "
+                f"at most {bound.limit:.4g} {bound.unit}: use a lower speed, or a longer stroke for the acceleration"
             )
     share, bound_by = 1.0, ""
     for _ in range(TRIES):
-        reached = _reached(axis, signals(share))
+        reached = _peaks(axis, signals(share))
         over = bounds[:1] if reached is None else [bound for bound in bounds if bound.reached(reached) > bound.limit]
         if reached is not None and not over:
             return share, reached, bound_by
@@ -173,7 +173,7 @@ def rehearse(axis: Axis, bounds: list[Bound], signals: Callable[[float], LoopInp
             share *= STEP  # a saturated command does not show by how much it is too large
         else:
             share *= SHRINKS * min(_allowed_share(bound, alone, reached) for bound in over)
-    raise InputError(f"{bound_by}: found no excitation that stays within it, expected a lower speed")
+    raise InputError(f"{bound_by}: no excitation stays within this limit; use a lower speed")
 
 
 def _allowed_share(bound: Bound, alone: Reached, reached: Reached) -> float:
@@ -182,7 +182,7 @@ def _allowed_share(bound: Bound, alone: Reached, reached: Reached) -> float:
     return (bound.limit - steady) / (bound.reached(reached) - steady)
 
 
-def _reached(axis: Axis, signals: LoopInputs) -> Reached | None:
+def _peaks(axis: Axis, signals: LoopInputs) -> Reached | None:
     """Peaks of the closed loop in a simulation; None where the simulation fails."""
     try:
         run = Plant.of(axis).closed_loop(signals.q_ref, voltage_noise=signals.excitation)
@@ -245,7 +245,7 @@ class Experiment(Viewed):
             np.savetxt(aside, table, fmt=formats, delimiter=",", header=",".join(self.columns), comments="")
 
     def view(self) -> View:
-        """The signal, what bounds it, its peaks, and the deviations to expect on some of the lines."""
+        """The signal, its limit and peaks, and the expected deviations at some of the lines."""
         units, lines, peaks = self.axis.units, self.frequency, self.peaks
         what = f"{self.periods} periods"
         if self.signal == SteppedSine.label:
@@ -260,16 +260,15 @@ class Experiment(Viewed):
                 "prose",
             ),
             Line(
-                f"passes at {self.speed:.5g} {speed} (asked: {self.requested_speed:.5g}), speed "
+                f"passes at {self.speed:.5g} {speed} (requested: {self.requested_speed:.5g}), speed "
                 f"{peaks['slowest']:.4g} to {peaks['velocity']:.4g} {speed}, command at most {peaks['command']:.4g} "
-                f"{command}, travel {peaks['stroke']:.4g} {travel}; the amplitude is bound by the "
-                f"{self.bound_by}",
+                f"{command}, travel {peaks['stroke']:.4g} {travel}; the amplitude is limited by the {self.bound_by}",
                 "prose",
             ),
             Table(
                 ("frequency [Hz]", "relative std [%]"),
                 [(f"{lines[i]:.4g}", f"{100 * self.std[i]:.3g}") for i in shown],
-                f"expected of {self.noise:g} {units.unit('N')} rms of white {units.words('force')} noise",
+                f"expected for {self.noise:g} {units.unit('N')} rms of white {units.words('force')} noise",
             ),
         )
 
@@ -321,11 +320,12 @@ def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) ->
     else:
         fade, random = min(settle, samples // 2), np.random.default_rng(request.seed)
         wave = MultiSine.between(low * period, high * period, samples, fade, random)
-    speed, at = _between_steps(request.speed, axis, wave), request.at
+    speed, at = _speed_without_repeats(request.speed, axis, wave), request.at
     loop = axis_loop(axis, speed)
     if not loop.stable:
         raise UnstableError(
-            f"axis {axis.name}: its loop is unstable, largest pole {loop.radius:.4g}: nothing to excite"
+            f"axis {axis.name}: its loop is unstable, largest pole {loop.radius:.4g}; stabilise it before the "
+            "experiment"
         )
     steady = _steady_command(axis, speed)
     ramp = _ramp(axis, limits, speed, steady, 0.2 * samples * period)
@@ -334,8 +334,8 @@ def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) ->
         needed = (wave.shortest + settle + 2) * period * speed + speed * ramp
         quantity = axis.units.quantity
         raise InputError(
-            f"stroke: found {quantity(limits.stroke, 'm', 'g')}, where a pass at {quantity(speed, 'm/s')} can be "
-            f"excited for {max(flat, 0) * period:.3g} s, expected at least {wave.shortest * period:.4g} s: "
+            f"stroke: found {quantity(limits.stroke, 'm', 'g')}: a pass at {quantity(speed, 'm/s')} can be excited for "
+            f"{max(flat, 0) * period:.3g} s, expected at least {wave.shortest * period:.4g} s; use "
             f"{quantity(needed / ROOM, 'm', '.3g')}, a lower speed, or a coarser resolution"
         )
     check_length(wave.length(flat, request.passes) * (1.0 + 2.0 * (ramp / period + settle) / flat), period)
@@ -376,9 +376,9 @@ def design_experiment(axis: Axis, limits: Limits, request: ExcitationRequest) ->
         "stroke": max(float(np.ptp(q_ref)) + 2.0 * peaks["position"], reached.travel),
     }
     noise = NOISE_SHARE * axis.mechanics.coulomb if request.noise is None else request.noise
-    std = _expected(axis, speed, w, amplitude * np.abs(spectrum * command), each, noise)
+    std = _expected_std(axis, speed, w, amplitude * np.abs(spectrum * command), each, noise)
     faint = int(np.count_nonzero(std > 0.3))
-    text = f"{faint} of {f.size} lines will hardly stand out of the noise"
+    text = f"{faint} of {f.size} lines will hardly be above the noise"
     warnings = (warning("faint-lines", text, count=faint),) if faint else ()
     periods = wave.periods(flat) if isinstance(wave, MultiSine) else BLOCKS
     samples = samples if isinstance(wave, MultiSine) else int(np.max(each)) // BLOCKS // request.passes
@@ -398,7 +398,7 @@ def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: di
     """The largest factor on the peaks ``unit`` within every limit, and the name of the limit that binds."""
     gain = axis.drive.gain
     rooms = {
-        "speed of the passes": TURNING * speed / unit["velocity"],
+        "speed of the passes": EXCITED_SPEED * speed / unit["velocity"],
         "command limit": (ROOM * axis.drive.command_limit - steady) / max(unit["command"], unit["own"], unit["added"]),
         "stroke": 0.5 * (1.0 - ROOM) * limits.stroke / unit["position"],
     }
@@ -411,7 +411,9 @@ def _amplitude(axis: Axis, limits: Limits, speed: float, steady: float, unit: di
     bound_by = min(rooms, key=lambda name: rooms[name])
     if not rooms[bound_by] > 0.0:
         steadily = axis.units.quantity(speed, "m/s")
-        raise InputError(f"{bound_by}: steady motion at {steadily} leaves no room for an excitation, go slower")
+        raise InputError(
+            f"{bound_by}: steady motion at {steadily} leaves no margin for an excitation; use a lower speed"
+        )
     return rooms[bound_by], bound_by
 
 
@@ -436,7 +438,7 @@ def _bounds(axis: Axis, limits: Limits) -> list[Bound]:
     return bounds
 
 
-def _between_steps(speed: float, axis: Axis, wave: Wave) -> float:
+def _speed_without_repeats(speed: float, axis: Axis, wave: Wave) -> float:
     """The nearest speed [m/s] at or below ``speed`` at which the encoder's steps hardly repeat with the excitation.
 
     The carriage then advances by no whole number of steps in a period. Where no speed suits all lines, it is the one at
@@ -479,7 +481,7 @@ def _passes(period: float, speed: float, ramp: float, settle: int, trains: list[
     return LoopInputs(plain + excitation, np.zeros(plain.size), excited_at, velocities)
 
 
-def _expected(
+def _expected_std(
     axis: Axis, speed: float, w: np.ndarray, command: np.ndarray, samples: np.ndarray | int, noise: float
 ) -> np.ndarray:
     """Relative deviations (m,) of lines whose ``command`` has amplitudes (m,) [V] over ``samples`` (m,)."""

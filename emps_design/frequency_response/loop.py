@@ -86,36 +86,34 @@ class SeveralRates:
 
     def __post_init__(self) -> None:
         if self.law.cycle > MOST:
-            raise InputError(
-                f"law: found loops that are the same again after {self.law.cycle} samples, expected at most {MOST}"
-            )
+            raise InputError(f"law: found loops with a period of {self.law.cycle} samples, expected at most {MOST}")
 
     @property
-    def _end(self) -> float:
+    def _slow_nyquist(self) -> float:
         """The Nyquist frequency of the slow rate [rad/s]; all others fold on frequencies below it."""
         return math.pi / (self.law.cycle * self.plant.period)
 
     @cached_property
     def grid(self) -> np.ndarray:
         """Frequencies [rad/s] onto which the plant's grid folds."""
-        folded = np.mod(self.plant.grid, 2.0 * self._end)
-        folded = np.unique(np.minimum(folded, 2.0 * self._end - folded))
+        folded = np.mod(self.plant.grid, 2.0 * self._slow_nyquist)
+        folded = np.unique(np.minimum(folded, 2.0 * self._slow_nyquist - folded))
         far = folded[np.concatenate([[True], np.diff(folded) > 1e-9 * folded[1:]])]
         return far[far >= self.plant.grid[0] * (1.0 - 1e-9)]
 
-    def _places(self, w: np.ndarray) -> np.ndarray:
+    def _coupled_frequencies(self, w: np.ndarray) -> np.ndarray:
         """The frequencies (..., N) [rad/s] that the law couples with ``w`` (...), from -pi/T to pi/T."""
-        all_of_them = w[..., None] + 2.0 * self._end * np.arange(self.law.cycle)
+        all_of_them = w[..., None] + 2.0 * self._slow_nyquist * np.arange(self.law.cycle)
         nyquist = math.pi / self.plant.period
         return np.where(all_of_them > nyquist, all_of_them - 2.0 * nyquist, all_of_them)
 
     def _law(self, w: np.ndarray) -> np.ndarray:
-        """Command over position (..., N, N) between the frequencies of :meth:`_places`."""
+        """Command over position (..., N, N) between the frequencies of :meth:`_coupled_frequencies`."""
         cycle, period = self.law.cycle, self.plant.period
         A, B, C, D = self._lifted
         several, rows = np.broadcast_to(A, (cycle, *A.shape)), np.broadcast_to(C[:, None, :], (cycle, *B.T.shape))
         samples = np.moveaxis(transfers(several, B.T, rows, D, np.exp(1j * w * cycle * period)), (0, 1), (-2, -1))
-        turns = np.exp(1j * period * self._places(w)[..., None, :] * np.arange(cycle)[:, None])
+        turns = np.exp(1j * period * self._coupled_frequencies(w)[..., None, :] * np.arange(cycle)[:, None])
         return turns.conj().swapaxes(-1, -2) @ samples @ turns / cycle
 
     @cached_property
@@ -133,7 +131,7 @@ class SeveralRates:
         """The open loop (..., N, N) of the ``rows`` at ``w`` (...) [rad/s], ``delay`` [s] more; ``law`` if known."""
         if law is None:
             law = self._law_on_grid if w is self.grid else self._law(w)
-        places = self._places(w)
+        places = self._coupled_frequencies(w)
         plant = self.plant.position(np.abs(places), np.asarray(rows)[..., None], np.asarray(delay)[..., None])
         return -law * np.where(places < 0.0, plant.conj(), plant)[..., None, :]
 
@@ -162,19 +160,21 @@ class SeveralRates:
 
         for start, at, side, angle in zip(w, place, sign, lag, strict=True):
             true, phase = self._roots(turned, start, angle, side)
-            self._keep(margins, "phase_margin_deg", np.degrees(phase), "crossover", np.abs(at) + side * (true - start))
+            self._keep_smaller(
+                margins, "phase_margin_deg", np.degrees(phase), "crossover", np.abs(at) + side * (true - start)
+            )
             _, samples = self._roots(later, start, angle / abs(at) / self.plant.period, side)
-            self._keep(margins, "delay_margin", self.plant.period * samples)
+            self._keep_smaller(margins, "delay_margin", self.plant.period * samples)
         w, value, place = self._crossings(lambda values: np.where(values.real < 0.0, np.sin(np.angle(values)), 1.0))
         for start, eigenvalue, at in zip(w, value, place, strict=True):
             if eigenvalue.real < 0.0:
                 true, gain = self._roots(more, start, math.log(-1.0 / eigenvalue.real), 1.0)
                 self._keep_gain(margins, np.exp(gain), np.abs(at) + math.copysign(1.0, at) * (true - start))
-        last = np.linalg.eigvals(self.matrix(np.full(count, self._end), rows))
+        last = np.linalg.eigvals(self.matrix(np.full(count, self._slow_nyquist), rows))
         for eigenvalue in last.T:
             real = np.abs(eigenvalue.imag) < 1e-6 * np.abs(eigenvalue)
             gain = np.where(real & (eigenvalue.real < 0.0), -1.0 / eigenvalue.real, np.nan)
-            self._keep_gain(margins, gain, np.full(count, self._end))
+            self._keep_gain(margins, gain, np.full(count, self._slow_nyquist))
         return margins, stable_loops(self.grid, on_grid)
 
     def _crossings(self, sign_of: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -208,13 +208,15 @@ class SeveralRates:
                 residual = now / np.abs(by_y)
             if np.all(np.abs(residual) < FOUND):
                 break
-            x = np.minimum(x + np.clip(np.nan_to_num(step_x), -0.05, 0.05), math.log(self._end))
+            x = np.minimum(x + np.clip(np.nan_to_num(step_x), -0.05, 0.05), math.log(self._slow_nyquist))
             value = np.maximum(value + np.clip(np.nan_to_num(step_y), -0.2, 0.2), -1e3)
         good = np.abs(residual) < math.sqrt(FOUND)
         return np.where(good, np.exp(x), np.nan), np.where(good, value, np.nan)
 
     @staticmethod
-    def _keep(margins: dict[str, np.ndarray], key: str, value: np.ndarray, beside: str = "", w: Any = 0.0) -> None:
+    def _keep_smaller(
+        margins: dict[str, np.ndarray], key: str, value: np.ndarray, beside: str = "", w: Any = 0.0
+    ) -> None:
         """Replace the margins ``key`` by smaller positive ones, and the entries ``beside`` them by ``w``."""
         smaller = (value > 0.0) & ~(value >= margins[key])
         margins[key] = np.where(smaller, value, margins[key])
@@ -222,12 +224,12 @@ class SeveralRates:
             margins[beside] = np.where(smaller, w, margins[beside])
 
     def _keep_gain(self, margins: dict[str, np.ndarray], gain: np.ndarray, w: np.ndarray) -> None:
-        self._keep(margins, "gain_margin", np.where(gain > 1.0, gain, np.nan), "gain_margin_frequency", w)
+        self._keep_smaller(margins, "gain_margin", np.where(gain > 1.0, gain, np.nan), "gain_margin_frequency", w)
 
     def sensitive(self, row: int) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies (n,) [rad/s] and the single-rate loop (n,) with the same sensitivity as a row."""
         through = np.diagonal(np.linalg.inv(np.eye(self.law.cycle) + self.matrix(self.grid, row)), axis1=-2, axis2=-1)
-        w = np.abs(self._places(self.grid)).ravel()
+        w = np.abs(self._coupled_frequencies(self.grid)).ravel()
         order = np.argsort(w)
         return w[order], (1.0 / through - 1.0).ravel()[order]
 
@@ -237,7 +239,7 @@ class SeveralRates:
         values, vectors = np.linalg.eig(self.matrix(self.grid, row))
         order = np.argsort(-np.abs(values), axis=-1)
         largest = np.argmax(np.abs(vectors), axis=-2)
-        places = np.take_along_axis(self._places(self.grid), largest, axis=-1)
+        places = np.take_along_axis(self._coupled_frequencies(self.grid), largest, axis=-1)
         return np.take_along_axis(values, order, axis=-1), np.take_along_axis(places, order, axis=-1)
 
 
@@ -317,7 +319,7 @@ def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS
         margins = margin_arrays(loop, len(rows), grid, math.pi / period, loop)
         stable = stable_loops(grid, L)
         ends = [(grid, L[row], L[row], grid) for row in (0, -1)]
-    values = {name: _number(margins[name][0]) if stable[0] else None for name in CROSSINGS}
+    values = {name: _finite_or_none(margins[name][0]) if stable[0] else None for name in CROSSINGS}
     bands = {name: _band(margins[name]) if drawn and stable[0] else None for name in CROSSINGS}
     first = next((resonance.frequency for resonance in resonances(response) if resonance.kind == "antiresonance"), None)
     curved, straight = (_peaks(w, L, loci, places, response, first) for w, L, loci, places in ends)
@@ -328,7 +330,7 @@ def measured_margins(response: FrequencyResponse, axis: Axis, draws: int = DRAWS
             (min(low for low, _ in both), max(high for _, high in both)) if drawn and stable[0] and both else None
         )
     share = float(np.mean(stable[1:]))
-    words = _words(response, bool(stable[0]), share, values, np.abs(ends[0][1]), ends[0][0], axis.units)
+    words = _messages(response, bool(stable[0]), share, values, np.abs(ends[0][1]), ends[0][0], axis.units)
     return MeasuredMargins(response.name, bool(stable[0]), values, bands, share, first, tuple(words))
 
 
@@ -375,13 +377,13 @@ def over_limits(values: Mapping[str, Any], limits: Mapping[str, float]) -> list[
     """Return a message on each sensitivity peak of ``values`` above its limit; both are ratios by name.
 
     >>> over_limits({"sensitivity_peak_below": 2.31, "sensitivity_peak_above": 1.2}, {"sensitivity_peak_below": 2.0})
-    ['the largest sensitivity below the first antiresonance is 2.31, asked for at most 2']
+    ['the largest sensitivity below the first antiresonance is 2.31, requested at most 2']
     """
     return [
         warning(
             "sensitivity-peak",
             f"the largest sensitivity {name.rpartition('_')[2]} the first antiresonance is {values[name]:.4g}, "
-            f"asked for at most {limit:.4g}",
+            f"requested at most {limit:.4g}",
             value=values[name],
             limit=limit,
         )
@@ -402,7 +404,7 @@ def measured_document(margins: Sequence[MeasuredMargins], limits: Mapping[str, f
     }
 
 
-def _number(value: Any) -> float | None:
+def _finite_or_none(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
@@ -415,7 +417,7 @@ def _band(values: np.ndarray) -> tuple[float, float] | None:
     return min(float(low), float(values[0])), max(float(high), float(values[0]))
 
 
-def _words(
+def _messages(
     response: FrequencyResponse,
     stable: bool,
     share: float,
@@ -436,20 +438,20 @@ def _words(
     if lowest < 1.0:
         text = (
             f"{name}: the open loop is {lowest:.2g} at the lowest line, {low / (2 * math.pi):.3g} Hz: a crossover "
-            "below it is not seen; measure from lower frequencies"
+            "below it cannot be detected; measure at lower frequencies"
         )
         messages.append(warning("crossover-below-data", text, gain=float(lowest), frequency=low))
     if highest > 0.5:
         text = (
             f"{name}: the open loop is {highest:.2g} at the highest line, {high / (2 * math.pi):.4g} Hz: a crossover "
-            "above it is not seen; measure up to higher frequencies"
+            "above it cannot be detected; measure at higher frequencies"
         )
         messages.append(warning("crossover-above-data", text, gain=float(highest), frequency=high))
     at = values["gain_margin_frequency"]
     if at is not None and not low <= at <= high:
         text = (
-            f"{name}: the gain margin lies at {at / (2 * math.pi):.4g} Hz, beyond the data, on their "
-            f"{units.word('mass')} line"
+            f"{name}: the gain margin is at {at / (2 * math.pi):.4g} Hz, outside the data, where the response is "
+            f"extrapolated as a {units.word('mass')}"
         )
         messages.append(warning("gain-margin-beyond-data", text, frequency=at))
     return messages
@@ -543,7 +545,7 @@ def retune_on_response(response: FrequencyResponse, axis: Axis, request: RetuneR
         return design
     slower = np.geomspace(crossover, low, NEAREST)[1:]
     nearest = next((float(w) for w in slower if not design_of(float(w))[1]), None)
-    words = "nothing slower within the data works" if nearest is None else f"{nearest:.4g} rad/s works"
+    words = "no lower crossover within the data works" if nearest is None else f"{nearest:.4g} rad/s works"
     raise SpecificationError(
         f"retune on {response.name}: no gains give {phase_margin_deg:g} deg at a crossover of {crossover:g} rad/s; "
         f"{lacks}; {words}",

@@ -222,7 +222,7 @@ def law_response(law: LinearLaw, w: np.ndarray, period: float) -> np.ndarray:
     """Command over position, at the samples, of a law of one rate at ``w`` [rad/s]."""
     if law.cycle > 1:
         raise InputError(
-            f"law: found loops of different rates, the same again after {law.cycle} samples, expected one rate: such a "
+            f"law: found loops at different rates, with a period of {law.cycle} samples, expected one rate: such a "
             "law couples frequencies"
         )
     kept = law.used()

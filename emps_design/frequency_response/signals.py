@@ -98,10 +98,10 @@ def quantised(
         rounded = np.abs(scipy.fft.rfft(np.rint(x) - x)) ** 2 * 12.0 / size  # over what is white
         power += rounded / OFFSETS
         levels[i] = np.mean(rounded[at[excited]])
-    off = _mean_of(np.where(between, power, 0.0), NEAR * periods)[at] * periods / (periods - 1.0)
+    off = _moving_average(np.where(between, power, 0.0), NEAR * periods)[at] * periods / (periods - 1.0)
     on = power[at]
     for alike in (excited, ~excited):  # what is odd answers odd lines with odd ones
-        on[alike] = _mean_of(on[alike], NEAR) if np.any(alike) else on[alike]
+        on[alike] = _moving_average(on[alike], NEAR) if np.any(alike) else on[alike]
     # The offset of the carriage within a step is unknown. Rounding is odd, or even, about two offsets each, so the
     # second harmonic over the offsets gives the excess of the worst one over the mean.
     worst = 1.0 + 2.0 * float(np.abs(np.fft.rfft(levels)[2])) / float(np.sum(levels))
@@ -118,7 +118,7 @@ def _noise_power(residual: np.ndarray, periods: int) -> np.ndarray:
     gaps = np.diff(scipy.fft.rfft(residual.reshape(periods, -1), axis=1), axis=0)
     power = 0.5 * np.abs(gaps) ** 2 * 12.0 * periods / residual.size
     usual = np.median(power, axis=0) / np.log(2.0) if periods > 3 else np.mean(power, axis=0)
-    level = _mean_of(usual, NEAR)
+    level = _moving_average(usual, NEAR)
     above = np.where(level > 1.0 + 4.0 / np.sqrt(NEAR * (periods - 1)), level - 1.0, 0.0)
     by_line = np.interp(np.arange(residual.size // 2 + 1), np.arange(above.size) * periods, above)
     by_line[:periods] = 0.0  # the means of the periods hold these
@@ -138,7 +138,7 @@ def _drift(position: np.ndarray, periods: int) -> np.ndarray:
     return drift
 
 
-def _mean_of(power: np.ndarray, lines: int) -> np.ndarray:
+def _moving_average(power: np.ndarray, lines: int) -> np.ndarray:
     """``power`` (n,) averaged over so many neighbouring ``lines``."""
     return np.asarray(scipy.ndimage.uniform_filter1d(power, lines | 1, mode="reflect"))
 
@@ -291,14 +291,14 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
         instrument = EXCITATION if excitation is not None and np.ptp(excitation) > 0.0 else REFERENCE
     if instrument == EXCITATION:
         if excitation is None:
-            raise RecordError(f"{record.name}: found no column excitation, expected what was added to the command")
+            raise RecordError(f"{record.name}: found no column excitation, expected the signal added to the command")
         r = excitation
     else:
         r = record.u if instrument == COMMAND else bias
     if np.ptp(r) == 0.0:
         raise RecordError(
-            f"{record.name}: found a reference that stands still or runs evenly and no excitation, expected one of "
-            "them to move the loop: without it noise and feedback cannot be told from the plant; of a record made in "
+            f"{record.name}: found no excitation and a reference at rest or at constant speed, expected one of them to "
+            "excite the loop: without it noise and feedback cannot be separated from the plant; for a record made in "
             "open loop the command is the excitation, `instrument='command'`"
         )
     dq = np.diff(record.q, prepend=record.q[:1])
@@ -311,7 +311,7 @@ def signals_of(record: Record, instrument: str = "") -> Signals:
                 break
     runs = runs or _stretches(r, bias, 0, instrument)  # without a period, or one from pass to pass only
     if len(record.pieces) > 1:
-        runs, steps = _within(runs, steps, record.pieces, 2 * repeats or FEWEST)
+        runs, steps = _runs_within(runs, steps, record.pieces, 2 * repeats or FEWEST)
         if not runs:
             raise RecordError(
                 f"{record.name}: found no stretch between its gaps that is long enough for the {instrument}, expected "
@@ -409,14 +409,14 @@ def _stretches(r: np.ndarray, bias: np.ndarray, repeats: int, kind: str) -> list
     return [(first, last)]
 
 
-def _within(
+def _runs_within(
     runs: list[tuple[int, int]], steps: tuple[Step, ...], pieces: list[tuple[int, int]], shortest: int
 ) -> tuple[list[tuple[int, int]], tuple[Step, ...]]:
     """The parts of ``runs``, or of ``steps``, within ``pieces`` and of at least ``shortest`` samples, or two blocks.
 
     The first increment of every piece but the first spans a gap and is left out.
 
-    >>> _within([(0, 50), (60, 90)], (), [(0, 20), (30, 80)], 19)
+    >>> _runs_within([(0, 50), (60, 90)], (), [(0, 20), (30, 80)], 19)
     ([(0, 20), (31, 50), (60, 80)], ())
     """
     of_steps = [2 * step.samples for step in steps] or [shortest] * len(runs)

@@ -21,7 +21,7 @@ from emps_design.request import HERTZ, Request, option
 PLACES = ("command", "reference")  # where an excitation is added
 
 DRAWS = 100
-GROUP = 4  # one line of so many is left out
+GROUP = 4  # one line of each group of this size is left out
 CLOSEST = 0.01  # least relative distance of neighbouring lines
 LEAST = 2  # periods of a multi-sine on a pass, besides the one in which the loop settles
 BLOCKS = 4  # of a step, besides the one in which the loop settles
@@ -30,25 +30,25 @@ PAUSE = 32  # samples between two steps
 
 @dataclass(frozen=True)
 class ExcitationRequest(Request):
-    """How fast a carriage runs to and fro, and how it is excited meanwhile."""
+    """Speed of the passes of a carriage, and the excitation added to them."""
 
-    speed: float = option(..., "speed of the passes, at most [m/s]; the excitation takes 80 %")
+    speed: float = option(..., "largest speed of the passes [m/s]; the excitation may reach 80 % of it")
     low: float = option(2.0, "lowest frequency [Hz]", flags=("--from",), **HERTZ)
-    high: float | None = option(None, "highest frequency [Hz]; 0.8 of Nyquist", flags=("--to",), **HERTZ)
-    resolution: float = option(0.5, "base line of a multi-sine [Hz]; a step takes as long as its period", **HERTZ)
-    passes: int = option(4, "passes, to and fro; how often each step comes", limits=(1, 1000))
-    slope: float = option(0.5, "the command falls with this power of f", limits=(0.0, 3.0))
+    high: float | None = option(None, "highest frequency [Hz]; by default 0.8 of Nyquist", flags=("--to",), **HERTZ)
+    resolution: float = option(0.5, "fundamental of a multi-sine [Hz]; each step lasts one period of it", **HERTZ)
+    passes: int = option(4, "number of passes, to and fro; repetitions of each step", limits=(1, 1000))
+    slope: float = option(0.5, "the command decreases with this power of the frequency", limits=(0.0, 3.0))
     at: str = option(PLACES[0], "command: added to the controller's output; or reference", choices=PLACES)
     noise: float | None = option(
-        None, "force noise to expect [N rms, white]; 2 % of the Coulomb friction", limits=(0.0, None)
+        None, "expected white force noise [N rms]; by default 2 % of the Coulomb friction", limits=(0.0, None)
     )
     seed: int = option(0, "seed of lines and phases of a multi-sine", limits=(0, None))
-    steps: int | None = option(None, "a stepped sine of so many lines, no multi-sine", limits=(None, 2000))
+    steps: int | None = option(None, "lines of a stepped sine, instead of a multi-sine", limits=(None, 2000))
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.steps is not None:
-            self.refuse(["seed"], "goes without `steps`: a stepped sine leaves nothing to chance")
+            self.refuse(["seed"], "cannot be combined with `steps`; a stepped sine has no random part")
 
 
 class Wave(Protocol):
@@ -107,7 +107,7 @@ class MultiSine:
         kept = np.array([line for line in chosen if line not in out])
         if kept.size < GROUP:
             raise InputError(
-                f"resolution: found {kept.size} lines in the band, expected at least {GROUP}: take a finer one"
+                f"resolution: found {kept.size} lines in the band, expected at least {GROUP}: use a finer one"
             )
         return cls(kept, samples, fade, random)
 

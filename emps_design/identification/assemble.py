@@ -186,7 +186,7 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[Message]:
     >>> implausible({"mass": -95.0, "viscous": -200.0, "coulomb": -20.0}, axis)[0].split(": ")[0]
     'no axis has mass -95 kg, viscous friction -200 N/(m/s), Coulomb friction -20 N'
     >>> implausible({"mass": 0.095, "viscous": 0.2, "coulomb": 20.0}, axis)[0].split("; ")[1]
-    'this is what q (and q_ref) in another unit gives, 1000 times too large: look at the unit of that column'
+    'this would follow from q (and q_ref) in another unit, 1000 times too large: check the unit of that column'
     """
     identified = {name: value for name in SOUGHT if (value := _mean(values, name)) is not None}
     negative = [name for name, value in identified.items() if value < 0]
@@ -204,12 +204,13 @@ def implausible(values: Mapping[str, float], axis: Axis) -> list[Message]:
     )
     unit, force = _unit(shares), axis.units.word("force")
     if unit is None:
-        why = f"another machine or payload, a wrong {force} gain, or a wrong unit: look at force_gain and the columns"
+        why = f"another machine or payload, a wrong {force} gain, or a wrong unit: check force_gain and the columns"
     else:
         column, factor = unit
         size = f"{factor:g} times too large" if factor > 1 else f"{1 / factor:g} times too small"
         why = (
-            f"this is what {column.format(force=force)} in another unit gives, {size}: look at the unit of that column"
+            f"this would follow from {column.format(force=force)} in another unit, {size}: check the unit of that "
+            "column"
         )
     text = f"far from the axis: {beside}; {why}"
     return [wrong("far-from-axis", text, **{name: identified[name] for name in far})]
@@ -223,10 +224,10 @@ def _mean(values: Mapping[str, float], name: str) -> float | None:
 
 def _why_negative(identified: Mapping[str, float], negative: list[str]) -> str:
     if "mass" in negative and all(identified[name] < 0 for name in identified):
-        return "the sign of u is probably flipped against q; turn one of the two columns round"
+        return "the sign of u is probably opposite to that of q; invert one of the two columns"
     if "mass" in negative:
-        return "u and q probably do not belong together: look at the sign of u, the columns and their clock"
-    return "the record hardly determines it, or friction falls with speed: diagnose says more"
+        return "u and q probably do not belong together: check the sign of u, the columns and their time bases"
+    return "the record hardly determines it, or friction decreases with speed; next: diagnose"
 
 
 def _unit(shares: Mapping[str, float]) -> tuple[str, float] | None:
@@ -307,24 +308,28 @@ def assemble(
         interval = f"its interval, {value:.3g} +- {half:.2g} {quantity.unit}, includes"
         if share is not None and share < weakest:
             why = (
-                f"the reference explains {100 * share:.0f} % of its column, the rest is noise; "
-                "record motion that excites it"
+                f"the reference explains {100 * share:.0f} % of its column, the rest is noise; record motion that "
+                "excites it more"
             )
         elif np.isnan(bias[i]) or quantity.name in at_rests:
             why = (
-                "only reversals and rests determine it, which the inverse model leaves out; record several constant "
+                "only reversals and rests determine it, and the regression excludes them; record several constant "
                 "speeds in both directions, with acceleration between them"
             )
         elif half * sizes[i] > swing:
-            why = f"{interval} more than all of the {axis.units.words('force')}; record several speeds both ways"
+            why = (
+                f"{interval} more than the whole {axis.units.words('force')}; record several speeds in both directions"
+            )
         elif half > abs(value) and half * sizes[i] > OPEN * swing:
-            why = f"{interval} zero and half of the {axis.units.words('force')}; record several speeds both ways"
+            why = (
+                f"{interval} zero and half of the {axis.units.words('force')}; record several speeds in both directions"
+            )
         elif quantity.name == "mass" and half >= abs(value):
-            why = f"{interval} zero: speeds are constant, or the encoder hides the acceleration; record acceleration"
+            why = f"{interval} zero: the speed is constant, or encoder noise hides the acceleration; record more of it"
         elif quantity.name in pushed:
             why = (
-                f"neither inertia nor friction needs the {axis.units.words('force')} of the record, so something other "
-                "than the motor made the motion (a hand, another drive); record motion that the motor makes"
+                f"inertia and friction do not account for the {axis.units.words('force')} of the record, so something "
+                "other than the motor caused the motion (a hand, another drive); record motion that the motor causes"
             )
         if why:
             text = f"{axis.units.word(quantity.name)} is not determined: {why}"

@@ -56,7 +56,7 @@ CONVERGED = 1e-6  # relative fall of the criterion
 def _checked(record: Record, axis: Axis, model: str | Model, external_force: str, needs: str) -> tuple[Record, Axis]:
     """The record that identifies ``axis``, and the axis with its supply and without what ``model`` identifies."""
     if axis.controller.kind == NONE:
-        raise AxisError(f"{axis.name}: {needs} the controller of the record; give [controller] in the axis")
+        raise AxisError(f"{axis.name}: {needs} the controller of the record; add [controller] to the axis file")
     axis = axis.supplied_by(record)
     return check_record(record, axis, external_force), known_part(axis, model)
 
@@ -77,8 +77,8 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
                 "acceleration between them"
             ]
             raise RecordError(
-                f"{record.name}: {axis.units.word(name)} came out as {start[name]:.4g}, which cannot be simulated; "
-                f"{why[0]}"
+                f"{record.name}: {axis.units.word(name)} was identified as {start[name]:.4g}, which cannot be "
+                f"simulated; {why[0]}"
             )
     effects = [*identified_effects(model, p), *known_part(axis, model).effects]
     machine = axis.replace(mechanics=mechanics, effects=effects, sampling={"period": record.period})
@@ -86,8 +86,9 @@ def simulate(record: Record, axis: Axis, model: Model, value: np.ndarray, quanti
         return Plant.of(machine).closed_loop(ClosedLoopRun(**driven_by(machine, record), quantise=quantise))
     except SimulationError as error:
         raise RecordError(
-            f"{record.name}: no simulation with the controller of {axis.name} at {1 / record.period:g} Hz ({error}), "
-            "so the record was made with another one; put its controller into the axis, or use `identify`"
+            f"{record.name}: the simulation with the controller of {axis.name} at {1 / record.period:g} Hz fails "
+            f"({error}), so the record was made with another one; put its controller into the axis file, or use "
+            "`identify`"
         ) from error
 
 
@@ -378,8 +379,8 @@ def _problem(record: Record, axis: Axis, model: Model, cutoff: float) -> tuple[R
         W, Y = regression(filtered, model)
         force, carriage = axis.units.word("force"), axis.units.word("carriage")
         text = (
-            f"too little of the record is away from rest, so rests take part: a slow {force} that acts on the "
-            f"{carriage} at rest biases its friction"
+            f"too little of the record is in motion, so rests are included: a slow {force} that acts on the {carriage} "
+            "at rest biases its friction"
         )
         remarks.append(warning("rests-take-part", text))
         return Regression(record, axis, model, filtered, W, Y), _mechanics(axis, model), remarks
@@ -433,7 +434,7 @@ def _minimise(
         jacobian = _jacobian(error, value, residual, model)
         if fall < CONVERGED:
             return value, residual, jacobian
-    raise InputError(f"{name}: output error did not converge in {SEARCH_STEPS} steps; give a lower `cutoff`")
+    raise InputError(f"{name}: output error did not converge in {SEARCH_STEPS} steps; use a lower `cutoff`")
 
 
 def _jacobian(

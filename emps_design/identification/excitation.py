@@ -49,8 +49,8 @@ def check_record(record: Record, axis: Axis, external_force: str = REFUSE, one_w
         )
     if not one_way and goes_one_way(record):
         raise RecordError(
-            f"{record.name}: no reversal, the {units.word('carriage')} moves one way only, so Coulomb friction and a "
-            f"constant {units.word('force')} are one; record motion in both directions"
+            f"{record.name}: no reversal, the {units.word('carriage')} moves in one direction only, so Coulomb "
+            f"friction and a constant {units.word('force')} cannot be separated; record motion in both directions"
         )
     return force_free(record, axis, external_force)
 
@@ -66,14 +66,14 @@ def force_free(record: Record, axis: Axis, external_force: str = REFUSE) -> Reco
     rms, motor = (float(np.sqrt(np.mean(x**2))) for x in (record.f_ext, axis.drive.gain * record.u))
     if rms > SENSOR_NOISE * motor:
         raise RecordError(
-            f"{record.name}: an external {units.word('force')} of {units.quantity(rms, 'N', '.3g')} rms acts, and (12) "
-            f"holds without one; record without touching the {units.word('carriage')}, or let the measured "
-            f"{units.word('force')} take part with `external_force='known'`"
+            f"{record.name}: an external {units.word('force')} of {units.quantity(rms, 'N', '.3g')} rms acts, but (12) "
+            f"assumes none; record without touching the {units.word('carriage')}, or include the measured "
+            f"{units.word('force')} with `external_force='known'`"
         )
     if rms == 0.0:
         return replace(record, f_ext=None)
     size = units.quantity(rms, "N", ".2g")
-    text = f"f_ext: its {size} rms are taken for sensor noise and left out (`external_force='known'` uses it)"
+    text = f"f_ext: its {size} rms are treated as sensor noise and ignored (`external_force='known'` uses it)"
     return replace(record, f_ext=None, warnings=(*record.warnings, warning("force-is-noise", text, rms=rms)))
 
 

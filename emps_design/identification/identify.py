@@ -102,7 +102,7 @@ def identify_by_least_squares(
         better, systematic = _compare_with_hold(solution, chosen)
         errors = Errors(systematic)
         if better is None:
-            text = "too little of the record is away from rest: the intervals leave out the error by friction at rest"
+            text = "too little of the record is in motion: the intervals do not include the error by friction at rest"
             remarks.append(warning("rest-left-out", text))
         else:
             extra["hold_modelled"] = {name: estimate.to_dict() for name, estimate in better.parameters.items()}
@@ -244,7 +244,7 @@ def identify(record: Record, axis: Axis | None = None, request: IdentificationRe
         return _identified(record, axis, request)
     request = replace(request, with_=[term for term in request.terms or () if term != GRAVITY])
     identification = _identified(record, axis, request)
-    text = f"{GRAVITY}: on an axis that moves along a line a weight is the constant_force, which is always identified"
+    text = f"{GRAVITY}: on a linear axis a weight is the constant_force, which is always identified"
     return replace(identification, warnings=(*identification.warnings, warning("weight-is-constant", text)))
 
 
@@ -278,10 +278,13 @@ def with_own_law(record: Record, axis: Axis) -> tuple[Axis | None, Message]:
 
     law = identify_law(record, axis.units)
     if law.controller is None:
-        text = f"{axis.name} has no controller, and none is identified from the record: {law.reason}"
+        text = f"{axis.name} has no controller, and none was identified from the record: {law.reason}"
         return None, warning("no-law", text)
     with_law = Axis.from_dict({**axis.to_dict(), "controller": law.controller}, axis.name)
-    text = f"{axis.name} has no controller; the one of the record was used ({law.in_words}); law writes it"
+    text = (
+        f"{axis.name} has no controller; the controller identified from the record was used ({law.in_words}); the "
+        "command law writes it"
+    )
     return with_law, note("law-of-the-record", text)
 
 
@@ -291,11 +294,11 @@ def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identif
     if request.filter != DEFAULT_CHAIN or axis.controller.kind == NONE or not record.has_reference:
         return plain
     if request.bootstrap:
-        return _untested(plain, "a bootstrap goes with least squares")
+        return _untested(plain, "a bootstrap requires least squares")
     if len(record) > LONG:
         return _untested(plain, f"the test takes at most {LONG} samples; test a part of the record")
     if goes_one_way(record):
-        return _untested(plain, "motion one way is not enough for it")
+        return _untested(plain, "the motion has only one direction")
     from emps_design.identification.closed_loop import WEAK_INSTRUMENT, solve_with_instruments
 
     parameters = plain.parameters
@@ -325,7 +328,7 @@ def _auto(record: Record, axis: Axis, request: IdentificationRequest) -> Identif
 
 def _untested(plain: Identification, why: str) -> Identification:
     """The ``plain`` least squares with the message that its bias was not tested, and ``why``."""
-    message = warning("bias-not-tested", f"whether least squares is biased was not tested: {why}")
+    message = warning("bias-not-tested", f"the bias of least squares was not tested: {why}")
     return replace(plain, warnings=(*plain.warnings, message))
 
 
@@ -389,8 +392,8 @@ def _output_error_for_hidden(
         return None
     remark = note(
         "by-output-error",
-        f"{', '.join(map(axis.units.word, hidden))}: by output error, for the measured motion is noise there, and "
-        "least squares and instruments do not determine it",
+        f"{', '.join(map(axis.units.word, hidden))}: by output error: its column of the measured motion is mostly "
+        "noise, so least squares and instruments do not determine it",
         parameters=hidden,
     )
     extra = by_output_error.extra | {"hausman_test": instrumental.extra["hausman_test"]}
@@ -409,8 +412,8 @@ def _weak_column_warnings(instrumental: Identification) -> list[Message]:
     return [
         warning(
             "weak-column",
-            f"{word(name)}: the reference explains {100.0 * share:.2g} % of its column, least squares would not "
-            "determine it; compare output error (oe), or record more acceleration",
+            f"{word(name)}: the reference explains {100.0 * share:.2g} % of its column, so least squares would not "
+            "determine it; compare with output error (oe), or record more acceleration",
             parameter=name,
             share=share,
         )

@@ -90,7 +90,7 @@ def least_squares(
     """
     n, p = (len(W) if used is None else int(used.sum())), W.shape[1]
     if n <= p:
-        raise InputError(f"regression: found {n} rows for {p} parameters, expected more; record longer")
+        raise InputError(f"regression: found {n} rows for {p} parameters, expected more; make a longer record")
     r = _triangle(W, Y)
     r, target = r[:p, :p], r[:p, p]
     check_rank(r, names, units)
@@ -126,7 +126,7 @@ def check_rank(W: np.ndarray, names: tuple[str, ...], units: Units = LINEAR) -> 
     >>> check_rank(W, ("coulomb", "constant_force"))  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    emps_design.errors.RankError: the record cannot tell apart: coulomb, constant_force; record motion that ...
+    emps_design.errors.RankError: the record does not separate: coulomb, constant_force; record motion that ...
     """
     length = np.linalg.norm(W, axis=0)
     empty = tuple(name for name, size in zip(names, length, strict=True) if size == 0)
@@ -140,7 +140,7 @@ def check_rank(W: np.ndarray, names: tuple[str, ...], units: Units = LINEAR) -> 
     if singular[-1] < RANK_TOLERANCE * singular[0]:
         tied = tuple(name for name, weight in zip(names, np.abs(right[-1]), strict=True) if weight > 0.05)
         raise RankError(
-            f"the record cannot tell apart: {', '.join(map(units.word, tied))}; record motion that reverses, at "
+            f"the record does not separate: {', '.join(map(units.word, tied))}; record motion that reverses, at "
             "several speeds, with acceleration, or leave one of them out",
             tied,
         )
@@ -165,13 +165,15 @@ def notes(axis: Axis, simulated: bool = False) -> list[Message]:
     if unused:
         force, mass = axis.units.word("force"), axis.units.word("mass")
         text = (
-            f"left out of the regression, for the motion does not give their {force}: {', '.join(unused)}; they "
-            f"bias {mass} and friction, output error (oe) simulates them"
+            f"not in the regression, since their {force} does not follow from the motion: {', '.join(unused)}; they "
+            f"bias {mass} and friction; output error (oe) simulates them"
         )
         messages.append(warning("effects-left-out", text, effects=unused))
     own = [entry.kind for entry in axis.effects if any(p.per_record for p in entry.effect.parameters)]
     if own:
-        text = f"right only if the axis was made from this record, by phase or time: {', '.join(own)}"
+        text = (
+            f"valid only if the axis was identified from this record, because of their phase or time: {', '.join(own)}"
+        )
         messages.append(warning("effects-of-one-record", text, effects=own))
     return messages
 

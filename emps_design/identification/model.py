@@ -41,8 +41,8 @@ FRICTION = tuple(f"{kind}{way}" for kind in ("viscous", "coulomb") for way in ("
 def lumped(units: Units) -> Message:
     """The message that motion one way does not separate Coulomb friction from a constant force."""
     text = (
-        f"coulomb, constant_force are not determined: the motion goes one way only, where both are one "
-        f"{units.word('force')}, {LUMP.name}; record the other way too and give both records"
+        f"coulomb, constant_force are not determined: the motion has one direction only, in which both are one "
+        f"{units.word('force')}, {LUMP.name}; record the other direction too and give both records"
     )
     return grave("one-way", text)
 

@@ -197,19 +197,19 @@ class Observation(Viewed):
             (name, f"{1e3 * result.delay:.2f}", *(_errors(result) if known else ())) for name, result in methods.items()
         ]
         spans = (f"{name} {r.reliable[0]:.3f} to {r.reliable[1]:.3f} s" for name, r in methods.items())
-        against = f"errors: from {first.judged[0]:.2f} to {first.judged[1]:.2f} s, against the {force} of the moment"
+        against = f"errors: from {first.judged[0]:.2f} to {first.judged[1]:.2f} s, against the {force} at that time"
         return (
             Table(
                 ("method", "delay [ms]", *judged),
                 rows,
                 f"External {force} of {self.record}, axis {self.axis}",
             ),
-            Line(f"known from and to, filters settle before and after: {', '.join(spans)}"),
+            Line(f"valid from and to; before and after, the filters settle: {', '.join(spans)}"),
             *([Line(against)] if known else []),
             Table(
                 ("method", force, "set by", *map(_word, least["bounds"])),
                 [(name, *_smallest(result.smallest)) for name, result in methods.items()],
-                f"Smallest observable {force} [{unit}], and what bounds it",
+                f"Smallest observable {force} [{unit}], and what limits it",
                 words=("set by",),
             ),
             *(Line(f"{_word(bound)}: {reason}") for bound, reason in least["reasons"].items()),
@@ -244,7 +244,8 @@ def observe(
     warnings = list(record.warnings)
     for method, kinds in left_out(axis).items():
         if kinds:
-            text = f"{method}: left out, their {axis.units.word('force')} is not in the motion: {', '.join(kinds)}"
+            word = axis.units.word("force")
+            text = f"{method}: not included, since their {word} does not follow from the motion: {', '.join(kinds)}"
             warnings.append(warning("effects-not-observed", text, effects=kinds))
 
     cutoff_hz = min(DEFAULT_CUTOFF_HZ, ONLINE_SHARE / record.period) if cutoff_hz is None else cutoff_hz

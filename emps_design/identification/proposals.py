@@ -94,13 +94,13 @@ class Unexplained:
         """A message with the next step on an axis with ``units``, or [] where the residual is small."""
         if not self.matters:
             return []
-        text = f"the model leaves {100.0 * self.share:.2g} % of the {units.word('force')} unexplained"
+        text = f"the model does not explain {100.0 * self.share:.2g} % of the {units.word('force')}"
         if self.structure > LITTLE:
             text += (
-                f", and {100.0 * self.structure:.2g} % comes again with the same motion, so it is no noise (noise: "
-                f"{100.0 * self.noise:.2g} %); the intervals are {self.widening:.2g} times as wide for it"
+                f"; {100.0 * self.structure:.2g} % repeats with the motion, so it is not noise (noise: "
+                f"{100.0 * self.noise:.2g} %); the intervals are {self.widening:.2g} times as wide because of it"
             )
-        text += ": the machine has something that the model lacks; next: diagnose, which names it"
+        text += "; the model lacks an effect of the machine; next: diagnose, which names it"
         return [wrong("unexplained-force", text, share=self.share, structure=self.structure)]
 
 

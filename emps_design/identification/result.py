@@ -32,7 +32,7 @@ AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR = "auto", "ls", "iv", "o
 NO_TERMS = "none"
 ESTIMATORS = (AUTO, BY_LEAST_SQUARES, BY_INSTRUMENTS, BY_OUTPUT_ERROR)
 MOST_PLACES = 6  # behind the point, in a column of the table
-HOLDOUT = "judge the fit on this record; without it on the last third, fitted to the rest"
+HOLDOUT = "validate the fit on this record; by default on the last third, with a fit to the rest"
 
 
 @dataclass(frozen=True)
@@ -42,40 +42,40 @@ class IdentificationRequest(Request):
     >>> IdentificationRequest(estimator="iv", bootstrap=100)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    emps_design.errors.InputError: `bootstrap`: goes with `estimator='ls'`, found iv, which filters as hold does ...
+    emps_design.errors.InputError: `bootstrap`: requires `estimator='ls'`, found iv, which filters as hold does ...
     """
 
-    model: str = option("symmetric", "friction: the same both ways, or by direction", choices=tuple(MODELS))
+    model: str = option("symmetric", "friction: equal in both directions, or by direction", choices=tuple(MODELS))
     estimator: str = option(
         AUTO,
-        "auto: ls, or iv where ls is biased or noise hides a parameter from it, or oe where from both; ls: least "
-        "squares; iv: instruments; oe: closed-loop output error",
+        "auto: ls, iv where ls is biased or does not determine a parameter because of noise, oe where iv does not "
+        "either; ls: least squares; iv: instrumental variables; oe: closed-loop output error",
         choices=ESTIMATORS,
     )
     filter: str = option(
         DEFAULT_CHAIN,
-        "hold: models the hold of the drive, leaves rests out, cut-off from the data; report: 100 Hz low-pass, of the "
-        "2019 report; paper: median and decimation, of the 2018 paper",
+        "hold: models the hold of the drive, excludes rests, cut-off from the data; report: 100 Hz low-pass of the "
+        "2019 report; paper: median and decimation of the 2018 paper",
         choices=tuple(CHAINS),
     )
     cutoff: float | None = option(
         None,
-        "low-pass [Hz, or such as 370rad/s] instead of the filter's own; what the data say is shown too",
+        "low-pass [Hz, or e.g. 370rad/s] instead of the filter's; the cut-off from the data is shown too",
         **HERTZ,
     )
     external_force: str = option(
         REFUSE,
-        "refuse a record with one, or known: let the measured force take part, as in (21)",
+        "refuse: reject a record with an external force; known: include the measured force, as in (21)",
         choices=(REFUSE, KNOWN),
     )
     holdout: Record | None = option(None, HOLDOUT)
-    bootstrap: int = option(0, "draws of a bootstrap of the residual, 0: none", limits=(0, 100_000))
+    bootstrap: int = option(0, "number of bootstrap draws of the residual, 0: none", limits=(0, 100_000))
     seed: int = option(0, "seed of the bootstrap", limits=(0, None))
     with_: str | Sequence[str] = option(
         AUTO,
-        "terms beside mass and friction, with commas: gravity (a weight on an axis that turns), asymmetric-viscous "
-        "(viscous friction by direction), bent-viscous (viscous |v|^viscous_exponent); auto: what held-out strokes of "
-        "the record call for; none",
+        "terms besides mass and friction, separated by commas: gravity (a weight on a rotary axis), asymmetric-viscous "
+        "(viscous friction by direction), bent-viscous (viscous |v|^viscous_exponent); auto: terms that reduce the "
+        "error of held-out strokes; none",
         typed=str,
     )
 
@@ -87,13 +87,13 @@ class IdentificationRequest(Request):
                 expected = f"{', '.join(known[:-1])}, {NO_TERMS} alone, or {AUTO}"
                 raise InputError(f"`with_`: found {term!r}, expected {expected}{nearest_name(term, known)}")
             if TERMS[term].symmetric and self.model == "asymmetric":
-                raise InputError(f"`with_`: {term} goes with `model='symmetric'`, found {self.model!r}")
+                raise InputError(f"`with_`: {term} requires `model='symmetric'`, found {self.model!r}")
         if not self.bootstrap:
-            self.refuse(["seed"], "goes with `bootstrap`; nothing else is drawn")
+            self.refuse(["seed"], "requires `bootstrap`; nothing else is random")
         if self.estimator not in (AUTO, BY_LEAST_SQUARES):
             self.refuse(
                 ["filter", "bootstrap", "holdout"],
-                f"goes with `estimator='ls'`, found {self.estimator}, which filters as hold does and has intervals of "
+                f"requires `estimator='ls'`, found {self.estimator}, which filters as hold does and has intervals of "
                 "its own",
             )
 
@@ -232,8 +232,8 @@ class Identification(Viewed):
         except InputError as error:
             force = self.axis.units.word("force")
             raise InputError(
-                f"{error}; no machine has such parameters: a {force} that the model lacks, such as a weight or a "
-                "spring, biases them, and diagnose names it"
+                f"{error}; no machine can have such parameters: a {force} that the model lacks, such as a weight or a "
+                "spring, biases them; next: diagnose"
             ) from error
 
     def to_dict(self) -> dict[str, Any]:
@@ -333,7 +333,7 @@ def parameter_names(terms: Sequence[str]) -> set[str]:
 
 def proposed_line(terms: Sequence[str]) -> list[Line]:
     """Which terms the record called for, why, and how to leave them out."""
-    why = "without it strokes that took no part in the fit are predicted with at least twice the error"
+    why = "without it the error of held-out strokes is at least twice as large"
     return [Line(f"+ proposed: {', '.join(terms)}; {why}; `with_='none'` leaves it out")] if terms else []
 
 
@@ -366,19 +366,21 @@ def _fit(document: Document, units: Units) -> Iterator[Line]:
 
 
 def _held_in_intervals(document: Document, units: Units) -> Iterator[Line]:
-    """Errors beside chance that the intervals hold: by the cut-off, the filter and the encoder."""
+    """Systematic errors that the intervals include: by the cut-off, the filter and the encoder."""
     estimates = document["parameters"]
     if document["cutoff_sensitivity"] is not None:
         yield Line(_moved_by_cutoff(document, units))
     if any(estimate["systematic"] for estimate in estimates.values()):
-        yield Line(f"95 % ± holds what this filter is off by as well, judged by `filter='{DEFAULT_CHAIN}'`")
+        yield Line(
+            f"95 % ± includes the systematic error of this filter, by comparison with `filter='{DEFAULT_CHAIN}'`"
+        )
     stepped = {name: estimate["encoder"] for name, estimate in estimates.items() if estimate["encoder"]}
     if stepped:
         each = _each(stepped, units)
-        yield Line(f"95 % ± holds what the steps of the encoder do as well, by simulation: {each} rms")
+        yield Line(f"95 % ± includes the error by encoder quantisation, from a simulation: {each} rms")
     smooth = {name: estimate["hold"] for name, estimate in estimates.items() if estimate["hold"]}
     if smooth:
-        yield Line(f"95 % ± holds what a drive that is faster than the record changes as well: {_each(smooth, units)}")
+        yield Line(f"95 % ± includes what the command may do between samples: {_each(smooth, units)}")
 
 
 def _moved_by_cutoff(document: Document, units: Units) -> str:
@@ -391,9 +393,9 @@ def _moved_by_cutoff(document: Document, units: Units) -> str:
     )
     tried = " and ".join(f"{frequency:.3g}" for frequency in document["cutoffs_tried"]["cutoff_hz"])
     beyond = any(estimate["cutoff"] for estimate in estimates.values())
-    held = "; 95 % ± holds what is beyond chance" if beyond else ", no more than chance"
+    held = "; 95 % ± includes the change beyond chance" if beyond else ", no more than chance"
     if not tried:
-        return "no other cut-off leaves enough of the record"
+        return "with every other cut-off too little of the record remains"
     return f"cut-offs of {tried} Hz change {moved or 'no parameter that is determined'}{held if moved else ''}"
 
 
@@ -403,15 +405,15 @@ def _judged(document: Document, units: Units) -> Iterator[Line]:
     if document.get("held_out"):
         judged = document["held_out"]
         share = judged["relative_error_percent"]
-        nothing = f"where there is no {units.words('force')} to compare it with"
+        nothing = f"where the {units.words('force')} is 0"
         compared = f"{share:.4f} %" if math.isfinite(share) else nothing
         yield Line(f"held out, {judged['on']}: {rounded(judged['rms_error'], 4)} {unit} rms, {compared}")
     if "cutoff_from_data" in document:
         chosen = document["cutoff_from_data"]["cutoff_hz"]
         if own["chain"] != DEFAULT_CHAIN:
-            yield Line(f"`filter='{DEFAULT_CHAIN}'` would cut off at {chosen:g} Hz")
+            yield Line(f"`filter='{DEFAULT_CHAIN}'` would have a cut-off of {chosen:g} Hz")
         elif own["cutoff_hz"] != chosen:
-            yield Line(f"motion and encoder of this record would have a cut-off of {chosen:g} Hz")
+            yield Line(f"cut-off from motion and encoder of this record: {chosen:g} Hz")
     if "hausman_test" in document:
         yield Line(_bias(document["hausman_test"]))
     if "closed_loop" in document:

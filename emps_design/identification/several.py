@@ -156,7 +156,8 @@ class SeveralIdentifications(Viewed):
             Table(
                 ("", *(str(number) for number in range(1, len(names) + 1))),
                 judged,
-                f"{units.words('force')} error [{unit} rms]: identified on the row's record, judged on the column's",
+                f"{units.words('force')} error [{unit} rms]: identified on the record of the row, validated on that of "
+                "the column",
             ),
         )
 
@@ -213,8 +214,8 @@ def identify_several(
         if missing:
             listed = ", ".join(map(fit.axis.units.word, missing))
             raise AxisError(
-                f"{record.name}: {listed} not determined, so there is no mean to take; leave this record "
-                "out, or record motion that excites them"
+                f"{record.name}: {listed} not determined, so there is no mean; leave this record out, or record motion "
+                "that excites them"
             )
         # Every record is judged by the inverse model, whatever the estimator: output error has other columns.
         judge = fit
@@ -239,9 +240,9 @@ def identify_together(records: Sequence[Record], axis: Axis, request: Identifica
     It is by least squares; raises :class:`InputError` for another estimator.
     """
     if request.estimator not in (AUTO, BY_LEAST_SQUARES):
-        raise InputError(f"`estimator`: found {request.estimator!r}, expected 'ls' for records that go one way each")
+        raise InputError(f"`estimator`: found {request.estimator!r}, expected 'ls' for records with one direction each")
     fit = identify(joined(records, axis.units.rotary), axis, replace(request, estimator=BY_LEAST_SQUARES))
-    together = warning("fitted-together", "the records go one way each, and are fitted together")
+    together = warning("fitted-together", "the records have one direction each and are fitted together")
     return replace(fit, warnings=(*fit.warnings, together))
 
 

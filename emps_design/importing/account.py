@@ -110,7 +110,7 @@ class Account(Viewed):
         signals = [name for name in ("q_ref", "q", "u") if name in record.columns]
         view += [Line(f"{name:>6} {sparkline(record.columns[name])}", "code") for name in signals]
         if self.recognised:
-            view += [Line(""), Line("Titles were understood; put this into the axis file:"), Line("")]
+            view += [Line(""), Line("Recognised titles; put this into the axis file:"), Line("")]
             view += [Line(line, "code") for line in self.table.rstrip(NEW).split(NEW)]
         return tuple(view)
 
@@ -255,21 +255,21 @@ def axis_text(trace: Trace, controller: str = "") -> str:
     unit, name = units.unit, re.sub(r"[^\w-]+", "_", trace.path.stem) or "axis"
     moves = "inertia" if units.rotary else "mass"
     largest = float(np.max(np.abs(record.u))) if record else 0.0
-    largest_remark = f"the largest command seen is {largest:.4g}" if record else "the largest command"
+    largest_remark = f"the largest recorded command is {largest:.4g}" if record else "the largest command"
     limit = trace.limit or float(f"{1.5 * largest:.1g}") or 10.0
     way = "gear" if units.rotary else "gear and screw"
     own_unit = units.command_unit != COMMANDS[units.command]
-    waits = "A line with # in front waits for your number: fill it in and take the # away."
+    waits = "Lines that begin with # need your value: enter it and remove the #."
     lines = [
         (f"# Written from {trace.path.name}. {waits}", ""),
         (f'name = "{name}"', ""),
         (f'motion = "{units.motion}"', "or rotary" if not units.rotary else "or linear"),
-        (f"{NEW}[mechanics]", "on the load side; a guess will do to begin with: identify finds them"),
+        (f"{NEW}[mechanics]", "on the load side; an estimate is enough at first: identify finds them"),
         ("# mass = 10.0", f"{unit('kg')}, {moves}"),
         ("# viscous = 100.0", f"{unit('N/(m/s)')}, viscous friction"),
         ("# coulomb = 20.0", f"{unit('N')}, Coulomb friction"),
         (f"{NEW}[drive]", ""),
-        (f'command = "{units.command}"', "what the command column is: voltage, current, torque, force or duty"),
+        (f'command = "{units.command}"', "quantity of the command column: voltage, current, torque, force or duty"),
         *([(f'command_unit = "{units.command_unit}"', "")] if own_unit else []),
         ("# force_gain = 1.0", f"{unit('N/V')}, on the load side: rated {units.words('force')}, {way}"),
         (f"{'' if trace.limit else '# '}command_limit = {limit:.6g}", f"{units.command_unit}, {largest_remark}"),

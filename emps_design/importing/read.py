@@ -65,7 +65,7 @@ COARSE, OF_A_STEP = 0.1, 0.2  # of the command's deviation: steps that hide what
 LOUD = 0.2  # of the command's deviation
 
 BLOCK = 500_000  # samples that are checked together, to save memory
-MEANS = "what is found from this record may be wrong by more than it says"
+MEANS = "results from this record may have larger errors than stated"
 
 
 @dataclass(frozen=True)
@@ -187,10 +187,10 @@ def explain_gap(replay: LawReplay, unit: str) -> str:
     used, gap = replay.used, replay.gap[replay.used]
     if np.median(np.abs(np.diff(gap))) < SMOOTH * np.sqrt(np.mean(gap**2)):
         most = f"{np.max(np.abs(gap)):.3g} {unit}".rstrip()
-        return f"up to {most} is added to what the law gives, or the command is another controller's or another axis's"
+        return f"the command differs from the law by up to {most}, or it is from another controller or axis"
     if not np.corrcoef(replay.record.u[used], replay.wanted[used])[0, 1] > TOGETHER:
-        return "the command follows this law nowhere: it is another controller's or another axis's"
-    return "the record is damaged, or the command is another controller's (emps-design law says whose)"
+        return "the command does not follow this law anywhere: it is from another controller or axis"
+    return "the record is damaged, or the command is from another controller (emps-design law identifies it)"
 
 
 def _explanations(replay: LawReplay, unit: str) -> Iterator[str]:
@@ -203,7 +203,7 @@ def _explanations(replay: LawReplay, unit: str) -> Iterator[str]:
     u, wanted = record.u[used], replay.wanted[used]
     gain = float(u @ wanted) / float(wanted @ wanted) if np.any(wanted) else 1.0
     if _remaining_share(replay, gain * replay.wanted) < EXPLAINS:
-        yield f"the command is {gain:.3g} times what the law gives"
+        yield f"the command is {gain:.3g} times that of the law"
     if replay.law.follows == "position" and record.q_ref_recorded:
         exchanged = replace(record, q=record.q_ref, q_ref=record.q)
         remaining = _remaining_share(replay, commands(replay.law, exchanged, replay.limit))
@@ -215,7 +215,7 @@ def _explanations(replay: LawReplay, unit: str) -> Iterator[str]:
     for every in EVERY:
         least, *_, most = sorted(float(np.sum(gap[phase::every] ** 2)) for phase in range(every))
         if least < OTHERS * most:
-            yield f"it is another signal's in some of every {every} samples"
+            yield f"some of every {every} samples are from another signal"
     yield _position_low_passed(replay)
 
 
@@ -236,9 +236,9 @@ def _few(replay: LawReplay, unit: str) -> str:
         return ""
     count, k = 1 + int(np.searchsorted(share, 1.0 - EXPLAINS)), int(order[0])
     if count > 1:
-        return f"{count} samples are far from what the law gives"
+        return f"{count} samples are far from the command of the law"
     value = f"{record.u[k]:.4g} {unit}".rstrip()
-    return f"one sample, {value} at {record.t[k]:.4g} s, is far from what the law gives"
+    return f"one sample, {value} at {record.t[k]:.4g} s, is far from the command of the law"
 
 
 def _late(replay: LawReplay) -> str:
@@ -268,7 +268,7 @@ def _gain_changed(replay: LawReplay) -> str:
     if not off.size or off.size == PIECES or residual_power.sum() > EXPLAINS * power:
         return ""
     since = record.t[edges[off[0]]]
-    return f"from about {since:.3g} s on the command is {np.median(gains[off]):.3g} times what the law gives"
+    return f"from about {since:.3g} s on the command is {np.median(gains[off]):.3g} times that of the law"
 
 
 def _command_low_passed(replay: LawReplay) -> str:
@@ -314,7 +314,7 @@ def check_controller(axis: Axis, record: Record) -> str | None:
     >>> check_controller(axis, record)
     ''
     >>> check_controller(axis, replace(record, u=2.0 * record.u)).split("; ")[-1]
-    'the command is 2 times what the law gives'
+    'the command is 2 times that of the law'
     """
     parts = [
         (start, replay) for start, part in _parts_of(record) if (replay := run_law(axis, part)).used.sum() > FEWEST

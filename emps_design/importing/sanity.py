@@ -128,8 +128,8 @@ def _same_unit(axis: Axis, record: Record) -> Doubts:
     if together < -STIFF:
         yield (
             "opposed-reference",
-            "columns q and q_ref: found motion against the reference, expected along it; one of them needs sign = -1 "
-            "in [record]",
+            "columns q and q_ref: found motion opposite to the reference, expected the same direction; one of them "
+            "needs sign = -1 in [record]",
         )
     slope = float(np.std(record.q) / np.std(record.q_ref))
     low, high = FOLLOWS if together > STIFF else (1.0 / WEAK_LOOP, WEAK_LOOP)
@@ -208,8 +208,8 @@ def _force(axis: Axis, record: Record) -> Doubts:
     if correlation(force, needed) < OPPOSED:
         yield (
             "opposed-command",
-            "column u: found a command against the motion it makes, expected one along it; command, or position and "
-            "reference, needs sign = -1 in [record]",
+            "column u: found a command opposite to the motion it causes, expected the same sign; command, or position "
+            "and reference, needs sign = -1 in [record]",
         )
     ratio = float(np.sqrt(np.mean(force**2) / np.mean(needed**2)))
     mass = axis.units.word("mass")
@@ -345,7 +345,7 @@ def odd_increments(record: Record) -> str:
     ''
     >>> less = np.delete(sweep, slice(9, None, 10))
     >>> odd_increments(Record.from_arrays(t, less, less, np.sin(1e3 * less)))
-    'q leaps ahead at 11 % of the samples: others are missing there, and time was numbered anew'
+    'q jumps ahead at 11 % of the samples: samples are missing there, and time was renumbered'
     """
     if record.measured is not None:
         return ""
@@ -356,8 +356,8 @@ def odd_increments(record: Record) -> str:
         again = (np.diff(q, prepend=np.nan) == 0.0) & (np.diff(record.u, prepend=np.nan) == 0.0)
         stands["q_ref"], leaps["q_ref"] = held(reference) & again, lost(reference)
     for masks, words in (
-        (stands, "{0} stands still at {1} in full motion: values are held, or rows repeated"),
-        (leaps, "{0} leaps ahead at {1}: others are missing there, and time was numbered anew"),
+        (stands, "{0} does not change at {1} in full motion: values are held, or rows repeated"),
+        (leaps, "{0} jumps ahead at {1}: samples are missing there, and time was renumbered"),
     ):
         for name, mask in masks.items():
             if np.count_nonzero(mask) > max(FEWEST, SOME * q.size):
@@ -412,7 +412,7 @@ def _faults(axis: Axis, record: Record) -> Iterator[str]:
     alternate = 0.5 * sign * (u[1:-1] - 0.5 * (u[:-2] + u[2:]))
     means = alternate[: alternate.size // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
     if means.size and float(np.sqrt(np.mean(means**2))) > ALTERNATES * swing:
-        yield "u: every second sample is another signal's"
+        yield "u: every second sample is from another signal"
     yield from _exchanged_in_motion(axis, record)
     yield from _gain(axis, record)
     yield from _late(record)
@@ -434,8 +434,8 @@ def _spike(axis: Axis, record: Record) -> Iterator[str]:
     answer = columns[at] @ np.linalg.lstsq(columns, without, rcond=None)[0] - without[at]
     if abs(answer) < ANSWERED * abs(spike[at]):
         yield (
-            f"u: {u[k]:.4g} {axis.units.command_unit} at {record.t[k]:.4g} s is {abs(u[k]) / usual:.3g} times what all "
-            "but one sample in a thousand stay below, and the axis does not answer it"
+            f"u: {u[k]:.4g} {axis.units.command_unit} at {record.t[k]:.4g} s is {abs(u[k]) / usual:.3g} times the 99.9 "
+            "% quantile of the others, and the axis does not respond to it"
         )
 
 

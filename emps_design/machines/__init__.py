@@ -1,4 +1,4 @@
-"""Embedded axes, one data sheet each, with its source in the file."""
+"""Embedded machines: one TOML file each, which names the source of its numbers."""
 
 from __future__ import annotations
 

@@ -86,8 +86,8 @@ def no_jump(q: np.ndarray, t: np.ndarray, unit: str, source: str) -> None:
             first = int(np.argmax(jumps))
             raise RecordError(
                 f"{source}: column q, at {t[fast[first]]:.6g} s: found a jump by {own[first]:.4g} {unit} in one "
-                "sample, expected motion; a position that wraps needs its modulo in [record], a bad sample or a "
-                "position that was set anew is to be cut off"
+                "sample, expected motion; a position that wraps needs its modulo in [record], cut off a bad sample or "
+                "a reset of the position"
             )
 
 
@@ -194,7 +194,7 @@ def check_columns(
         n = named["t"].size
         _fits(n, source, LONGEST)
     elif (count := len(stretches(named.get("bridged", named["t"]) <= 0.0))) > 1:
-        notes.append(warning("pieces", f"t: {count} pieces; what lies between takes no part", count=count))
+        notes.append(warning("pieces", f"t: {count} pieces, without the gaps between them", count=count))
     period = period or clock_period
     recorded, stood_in = _stand_ins(named, period, layout)
     notes += stood_in
@@ -230,7 +230,7 @@ def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> t
     notes, why = list[Message](), "not recorded"
     if "q" not in named:
         named["q"] = _integral(named["velocity"], period)
-        text = "q: not recorded; the integral of velocity from 0 stands for it"
+        text = "q: not recorded; replaced by the integral of velocity from 0"
         notes.append(warning("position-from-velocity", text, column="q"))
     if "q_ref" in named and not layout.reference_needed and np.ptp(named["q_ref"]) == 0.0:
         why = f"constant at {named.pop('q_ref')[0]:g} {layout.unit('q')}, no reference of this motion"
@@ -240,10 +240,10 @@ def _stand_ins(named: dict[str, np.ndarray], period: float, layout: Layout) -> t
         steps = named["velocity_reference"] * period
         steps[0] = named["q"][0]
         named["q_ref"] = np.cumsum(steps)
-        text = f"q_ref: {why}; the integral of velocity_reference from the first position stands for it"
+        text = f"q_ref: {why}; replaced by the integral of velocity_reference from the first position"
         return False, [*notes, note("reference-from-velocity", text, column="q_ref")]
     named["q_ref"] = named["q"].copy()
-    return False, [*notes, note("no-reference", f"q_ref: {why}; q itself stands for it", column="q_ref")]
+    return False, [*notes, note("no-reference", f"q_ref: {why}; replaced by q", column="q_ref")]
 
 
 def _integral(velocity: np.ndarray, period: float) -> np.ndarray:
@@ -303,7 +303,7 @@ def _shift(
     if rows.size < SHORTEST:
         raise RecordError(
             f"{source}: found {rows.size} sample{'' if rows.size == 1 else 's'} left by the delay of "
-            f"{' and '.join(late)}, expected at least {SHORTEST}; correct the delay or take a longer part"
+            f"{' and '.join(late)}, expected at least {SHORTEST}; correct the delay or use a longer part"
         )
     lost = (int(rows[0]), inside.size - 1 - int(rows[-1]))
     part = slice(part.start + lost[0], part.stop - lost[1])

@@ -74,13 +74,13 @@ def on_one_clock(
         return period, (warning("sampling-jitter", text, column="t", jitter=jitter),), None
     digit = _rounded_to(t, period)
     if digit:
-        text = f"t: stamps rounded to {digit:g} s, taken as a sample every {period:.6g} s"
+        text = f"t: time stamps rounded to {digit:g} s, interpreted as a sample every {period:.6g} s"
         return period, (note("rounded-time", text, column="t", digit=digit, period=period),), None
     i = int(np.argmax(away > (LARGEST_JITTER * typical) ** 2))
     if not resample:
         raise RecordError(
             f"{source}: column t, row {first_row + i + 1}: found a step of {t[i + 1] - t[i]:.6g} s, expected "
-            f"{typical:.6g} s as elsewhere; sampling must be uniform where it is not put on one clock"
+            f"{typical:.6g} s as elsewhere; sampling must be uniform unless it is resampled"
         )
     del away
     bridges = _bridges(t, typical, source, first_row)
@@ -165,7 +165,7 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float | None, typical: fl
     bridged = f"; {missing} of them bridge missing samples" if missing else ""
     text = (
         f"t: irregular, steps of {1e3 * step.min():.4g} to {1e3 * step.max():.4g} ms (median {1e3 * typical:.4g})"
-        f"{bridged}; put on {1e3 * period:.4g} ms by linear interpolation, off by at most (rms) {costs}"
+        f"{bridged}; resampled at {1e3 * period:.4g} ms by linear interpolation, off by at most (rms) {costs}"
     )
     notes = [warning("irregular-time", text, column="t", period=period)]
     if bridges.size:
@@ -177,8 +177,8 @@ def _resampled(signals: dict[str, np.ndarray], wanted: float | None, typical: fl
         lost = f"{float(step[bridges].sum()):.3g} s in all"
         text = (
             f"t: nothing from {t[i]:.6g} s to {t[i + 1]:.6g} s"
-            f"{f' and in {bridges.size - 1} more gaps, {lost}' if bridges.size > 1 else ''}; taken as "
-            f"{bridges.size + 1} pieces, and what lies between takes no part"
+            f"{f' and in {bridges.size - 1} more gaps, {lost}' if bridges.size > 1 else ''}; used as "
+            f"{bridges.size + 1} pieces, without the gaps between them"
         )
         notes.append(warning("time-gap", text, column="t", count=int(bridges.size)))
     return Resampled(new, period, tuple(notes), {name: values.copy() for name, values in signals.items()})

@@ -53,16 +53,14 @@ class Column(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     column: Annotated[str, Field(min_length=1)] = Field(description="its title in the file")
-    unit: str | None = Field(None, description="its unit, by default what the title says")
-    scale: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
-        None, description="what its numbers are multiplied by"
-    )
-    sign: Literal[1, -1] = Field(1, description="-1 where the file counts the other way")
+    unit: str | None = Field(None, description="its unit, by default that of the title")
+    scale: Annotated[float, Field(allow_inf_nan=False)] | None = Field(None, description="factor on its values")
+    sign: Literal[1, -1] = Field(1, description="-1 for the opposite sign in the file")
     delay: Annotated[float, Field(ge=-LONGEST_DELAY, le=LONGEST_DELAY, allow_inf_nan=False)] = Field(
-        0.0, description="how much later than it acts it is recorded, in s"
+        0.0, description="delay of the recorded signal behind the true one, in s"
     )
     modulo: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = Field(
-        None, description="where a position begins anew, as its numbers count: 360 of an angle in deg"
+        None, description="period of a position that wraps, in the unit of the column: 360 for an angle in deg"
     )
 
 
@@ -90,10 +88,12 @@ class ColumnMap(BaseModel):
     @model_validator(mode="after")
     def _time_is_the_clock(self) -> ColumnMap:
         if self.time is not None and self.time.delay:
-            raise ValueError(f"time: found delay {self.time.delay:g}, expected it of the columns that are late")
+            raise ValueError(f"time: found delay {self.time.delay:g}, expected the delay of the late columns instead")
         for name, column in self.named.items():
             if column.modulo is not None and name not in ("q", "q_ref"):
-                raise ValueError(f"{KEYS[name]}: found modulo {column.modulo:g}, expected it of position and reference")
+                raise ValueError(
+                    f"{KEYS[name]}: found modulo {column.modulo:g}, expected it only for position and reference"
+                )
         return self
 
     @property
@@ -201,8 +201,8 @@ def _all_mapped(titles: Sequence[str], layout: Layout, source: str) -> dict[str,
             twin = next((KEYS[other.name] for other in assignments.values() if other.title == assignment.title), None)
             if twin is not None:
                 raise RecordError(
-                    f"{source}: [record] {twin} and {KEYS[name]} both take the column {assignment.title!r}; give one "
-                    "of them a column of its own, or take it out of [record]"
+                    f"{source}: [record] {twin} and {KEYS[name]} both take the column {assignment.title!r}; give them "
+                    "different columns, or remove one from [record]"
                 )
             assignments[name] = assignment
     return assignments

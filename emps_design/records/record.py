@@ -153,7 +153,7 @@ class Record(Viewed):
     def gaps_in_words(self) -> tuple[Message, ...]:
         """A message on the pieces of a record with gaps; none without gaps."""
         count = len(self.pieces)
-        text = f"{self.name}: taken as {count} pieces, what lies between takes no part"
+        text = f"{self.name}: used as {count} pieces, without the gaps between them"
         return (warning("taken-as-pieces", text, count=count),) if count > 1 else ()
 
     @property

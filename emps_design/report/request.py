@@ -31,8 +31,8 @@ class ReportRequest(Request):
         read=read_axis,
     )
     record: Any = option(None, "record to identify: .mat, .csv or .npz", typed=Path | None)
-    crossover: float | None = option(None, "crossover w_v of T_vo [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
-    bandwidth: float | None = option(None, "closed-loop -3 dB of T_vc [rad/s, or such as 30Hz]", unit="rad/s", **RAD_S)
+    crossover: float | None = option(None, "crossover w_v of T_vo [rad/s, or e.g. 30Hz]", unit="rad/s", **RAD_S)
+    bandwidth: float | None = option(None, "closed-loop -3 dB of T_vc [rad/s, or e.g. 30Hz]", unit="rad/s", **RAD_S)
     phase_margin_deg: float = option(60.0, "phase margin phi_v [deg]", unit="deg", flags=("--phase-margin",))
     retune: bool = option(False, "meet the specification in the sampled loop")
     design_on: str | None = option(
@@ -53,7 +53,7 @@ class ReportRequest(Request):
     environment: float | None = option(None, "stiffness of the wall [N/m]: adds the force loop", unit="N/m")
     mass: float | None = option(None, "apparent mass M_a [kg]: adds the impedance law", unit="kg")
     damping: float | None = option(None, "apparent damping B [N/(m/s)], with a mass", unit="N/(m/s)")
-    filter: float | None = option(None, "filter of the impedance law [rad/s, or such as 80Hz]", unit="rad/s", **RAD_S)
+    filter: float | None = option(None, "filter of the impedance law [rad/s, or e.g. 80Hz]", unit="rad/s", **RAD_S)
     mismatch: float = option(0.02, "error of the impedance law's estimates", unit="")
     frf: Path | None = option(None, "measured response of 'frf' to show beside the model")
     structure: Any = option(None, "a Structure of the velocity loop; default the axis's", hidden=True)
@@ -65,11 +65,11 @@ class ReportRequest(Request):
         if self.record is None:
             if self.design_on == "record":
                 raise InputError("`design_on`: found 'record' without a record; give one with `record`")
-            self.refuse(["design_on", "model", "record_filter"], "goes with `record`")
+            self.refuse(["design_on", "model", "record_filter"], "requires `record`")
         if (self.mass is None) != (self.damping is None):
             raise InputError("impedance law: found one of mass and damping, expected both [kg, N/(m/s)] or neither")
         if self.apparent is None:
-            self.refuse(["filter", "mismatch"], "goes with the impedance law: `mass` and `damping`")
+            self.refuse(["filter", "mismatch"], "requires the impedance law: `mass` and `damping`")
 
     @cached_property
     def machine(self) -> Axis:

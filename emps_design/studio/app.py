@@ -1,7 +1,7 @@
-"""The studio's server, page and session: access, frame and style, and the tabs with the state they share.
+"""The studio's server, page and session: access control, page frame and style, and the tabs with their shared state.
 
-Only a browser on this machine has access, by a name of this machine and with the token in the printed address: a page
-of another site can make a browser ask 127.0.0.1, but it cannot know the token.
+Only a browser on this machine has access, and only with the token in the printed address: a page of another site can
+make a browser send requests to 127.0.0.1, but it does not know the token.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ header.studio small { font-weight: 400; margin-left: 12px; opacity: .9; }
 main.studio { padding: 6px 10px 16px; }
 """
 
-# Names and keyboard access for what Bokeh leaves without: handles of sliders, figures, downloads.
+# Names and keyboard access for parts that Bokeh leaves without them: slider handles, figures, downloads.
 SCRIPT = """
 function nameAndReach(root) {
   for (const element of root.querySelectorAll('*')) {
@@ -59,7 +59,7 @@ function nameAndReach(root) {
     layer.setAttribute('aria-label', figure.getAttribute('aria-label') || 'Figure');
   }
   for (const link of root.querySelectorAll('button > a:not([data-reached])')) {
-    link.dataset.reached = true;  // a download listens on the words of its button only, which no key reaches
+    link.dataset.reached = true;  // a download reacts to its link only, which the keyboard does not reach
     link.parentElement.addEventListener('click', event => { if (event.target !== link) link.click(); });
   }
   for (const input of root.querySelectorAll('input[type=file]')) {
@@ -86,23 +86,23 @@ TEMPLATE = (
 """
 )
 
-RECORD_AXIS = "emps2019"  # axis of the records unless the user names one
+RECORD_AXIS = "emps2019"  # default axis of a record
 HOST = "127.0.0.1"
 TABS = ("Design", "Motion", "Simulation", "Data", "Compensation", "Files")
 
 
 def guard(server: Server) -> str:
-    """Let ``server`` answer only requests with the right host, origin and token; return the suffix of its address."""
+    """Restrict ``server`` to requests with the right host, origin and token; return the suffix of its address."""
     application, token, cookie = server._tornado, secrets.token_urlsafe(24), f"emps-design-{server.port}"
     find = application.find_handler
 
     def find_handler(request: HTTPServerRequest, **options: Any) -> Any:
         if not local(request.headers, server.port):
-            return application.get_handler_delegate(request, Refused, {"why": "by this name the studio is not there"})
+            return application.get_handler_delegate(request, Refused, {"why": "wrong host name or origin"})
         from_address = request.query_arguments.get("token", [b""])[-1]
         from_cookie = request.cookies[cookie].value.encode() if cookie in request.cookies else b""
         if not any(hmac.compare_digest(sent, token.encode()) for sent in (from_address, from_cookie)):
-            why = "open the whole address that the studio printed, with its token"
+            why = "open the complete address that the studio printed, with its token"
             return application.get_handler_delegate(request, Refused, {"why": why})
         delegate = find(request, **options)
         if from_address and hasattr(delegate, "handler_class"):
@@ -129,25 +129,25 @@ class Refused(RequestHandler):
     """Handler of a refused request: status 403 and one sentence."""
 
     def initialize(self, why: str) -> None:
-        """Keep the sentence ``why``."""
+        """Store the sentence ``why``."""
         self.why = why
 
     def prepare(self) -> None:
-        """Answer whatever the method of the request."""
+        """Answer every method of a request with status 403."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"emps-design studio: {self.why}\n")
 
     def check_xsrf_cookie(self) -> None:
-        """Check nothing: there is nothing to protect."""
+        """Skip the check: the request is refused anyway."""
 
 
 def _with_cookie(handler: type[RequestHandler], cookie: str, token: str) -> type[RequestHandler]:
-    """Return ``handler`` with the token set as a cookie, for the requests that the page makes next."""
+    """Return ``handler`` with the token set as a cookie, for the further requests of the page."""
 
     class WithCookie(handler):  # type: ignore[misc,valid-type]
         def set_default_headers(self) -> None:
-            """Set the cookie beside the handler's own headers."""
+            """Set the cookie in addition to the handler's headers."""
             super().set_default_headers()
             self.set_cookie(cookie, token, httponly=True, samesite="Lax", path="/")
 
@@ -167,7 +167,7 @@ def page(root: pn.viewable.Viewable) -> pn.Template:
 
 
 class Session:
-    """The views of one browser window and the state they share."""
+    """The views of one browser window and their shared state."""
 
     def __init__(self, axis: Axis, record: Record | None = None):
         from emps_design.studio.data_view import DataView
@@ -180,9 +180,9 @@ class Session:
         self.design = DesignView(self.state, machines, self._changed, self._axis_opened)
         self.motion = MotionView(lambda: self.state, self.design.turn, lambda: self.data.record)
         self.simulation = SimulationView(lambda: self.state, self.design.turn)
-        own = axis.name if axis.name not in machine_names() else RECORD_AXIS
+        name = axis.name if axis.name not in machine_names() else RECORD_AXIS
         self.data = DataView(
-            lambda: self.design.machines, own, lambda: self.state, self.design.turn, self.design.add_axis, record,
+            lambda: self.design.machines, name, lambda: self.state, self.design.turn, self.design.add_axis, record,
             record_changed=lambda: self.motion.show(self.state),
         )  # fmt: skip
         self.compensation = CompensationView(lambda: self.state)
@@ -219,8 +219,8 @@ class Session:
 
     def _loaded(self, state: State) -> None:
         if state.pinned is not None:
-            velocity_design(state.pinned)  # raises before anything changes if it cannot be designed
-        if state.axis.name not in machine_names():  # keep the embedded ones: a state may have changed their clock
+            velocity_design(state.pinned)  # raises, before anything changes, if there is no such design
+        if state.axis.name not in machine_names():  # embedded machines do not change: a state may have another period
             self.design.machines[state.axis.name] = state.axis
         self.design.machine.options = list(self.design.machines)
         self.design.machine.value = state.axis.name
@@ -230,9 +230,9 @@ class Session:
 
 
 def serve(axis: Axis, record: Record | None = None, port: int = 0) -> tuple[str, Callable[[], None]]:
-    """Listen on 127.0.0.1; return the address, and what serves the studio there until it is interrupted.
+    """Listen on 127.0.0.1; return the address, and a function that serves the studio until it is interrupted.
 
-    ``port`` 0 takes a free one. Raises :class:`OSError` for a port in use.
+    With ``port`` 0 the system chooses a free port. Raises :class:`OSError` for a port in use.
     """
     from emps_design.studio.data_view import LIMIT_MB
 

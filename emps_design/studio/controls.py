@@ -1,4 +1,4 @@
-"""Controls of the state: a field for one number, alone or with a slider, and a row of fields for each filter."""
+"""Controls of the state: a number field, a number field with a slider, and a row of fields for each filter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from emps_design.studio.ranges import CHOICES, Choice
 from emps_design.studio.state import State
 
 # The title of the slider stays in the page for screen readers and for the script that names its handle.
-_QUIET = (
+_SLIDER_STYLE = (
     ":host { --design-primary-color: #0072B2; } .bk-slider-title { font-size: 0; height: 0; } "
     ".noUi-handle:focus-visible { outline: 3px solid #E69F00; }"
 )
@@ -22,22 +22,22 @@ NAMES = {"lowpass": "Low-pass", "notch": "Notch"}
 NUMBERS = {"lowpass": ("frequency",), "notch": ("frequency", "damping", "depth")}
 
 
-def after_this_event(answer: Callable[[], None]) -> None:
-    """Call ``answer`` after the running event of the browser, or at once if there is no page.
+def after_this_event(callback: Callable[[], None]) -> None:
+    """Call ``callback`` after the current event of the browser, or at once if there is no page.
 
-    Only then does the browser accept a value that replaces the one it sent, and only then does the callback hold the
-    lock of the page, which it needs to change pictures.
+    Only then does the browser accept another value in place of the one that it sent, and only then does the callback
+    hold the lock of the page, which it needs to change figures.
     """
     if pn.state.curdoc is None:
-        answer()
+        callback()
     else:
-        pn.state.curdoc.add_next_tick_callback(answer)
+        pn.state.curdoc.add_next_tick_callback(callback)
 
 
 class Field:
     """A field for the number ``name``; every change by the user calls ``on_change(name, value)``.
 
-    A frequency is typed as text, with its unit or without; ``on_change`` gets the text and sets the field to the
+    A frequency is entered as text, with or without a unit; ``on_change`` gets the text, and then sets the field to the
     number in rad/s.
     """
 
@@ -49,9 +49,9 @@ class Field:
         common = {"label": choice.label, "width": width, "margin": (2, 6, 2, 6)}
         self.field: pn.widgets.TextInput | pn.widgets.IntInput | pn.widgets.FloatInput
         if choice.frequency:
-            self.field = pn.widgets.TextInput(value=_written(value), **common)
+            self.field = pn.widgets.TextInput(value=_format_number(value), **common)
         else:
-            # With bounds the browser would not send a number outside them, and show it above another design.
+            # Without bounds, since the browser would show but not send a number outside them.
             widget = pn.widgets.IntInput if self.whole else pn.widgets.FloatInput
             self.field = widget(value=value, step=choice.step, **common)
         self.field.param.watch(self._on_input, "value")
@@ -60,7 +60,7 @@ class Field:
         if self._quiet or event.new is None:
             return
         waiting, self._pending = self._pending is not None, event.obj
-        if not waiting:  # several changes before the answer count as one, the last
+        if not waiting:  # of several changes before the callback only the last counts
             after_this_event(self._answer)
 
     def _answer(self) -> None:
@@ -68,7 +68,7 @@ class Field:
         self.on_change(self.name, widget.value)
 
     def _quietly(self, change: Callable, *arguments: Any) -> None:
-        """Call ``change(*arguments)`` without a call of ``on_change``."""
+        """Call ``change(*arguments)`` without calling ``on_change``."""
         self._quiet = True
         try:
             change(*arguments)
@@ -76,12 +76,12 @@ class Field:
             self._quiet = False
 
     def set(self, value: float) -> None:
-        """Show ``value`` without a call of ``on_change``; a number that the user has typed since stays."""
+        """Show ``value`` without calling ``on_change``; a pending input of the user is not overwritten."""
         if self._pending is None:
             self._quietly(self._show, value)
 
     def _show(self, value: float) -> None:
-        self.field.value = _written(value) if isinstance(self.field, pn.widgets.TextInput) else value
+        self.field.value = _format_number(value) if isinstance(self.field, pn.widgets.TextInput) else value
 
     def suit(self, state: State) -> None:
         """Take the label and the range of the number from ``state``."""
@@ -112,7 +112,7 @@ class Knob(Field):
             show_value=False,
             sizing_mode="stretch_width",
             margin=(22, 10, 0, 4),
-            stylesheets=[_QUIET],
+            stylesheets=[_SLIDER_STYLE],
         )
         self.slider.param.watch(self._on_input, "value")
         self.view = pn.Row(self.field, self.slider, sizing_mode="stretch_width", margin=0)
@@ -131,18 +131,18 @@ class Knob(Field):
         self.slider.param.update(start=choice.lower, end=choice.upper, step=choice.step)
 
     def limit(self, low: float, high: float, value: float) -> None:
-        """Limit the slider to ``low`` to ``high``, extended to ``value``; the field still takes any number."""
+        """Limit the slider to ``low`` to ``high``, extended to ``value``; the field accepts any number."""
         low, high = min(low, value), max(high, value)
         high = high if high > low else low + self.choice.step
         self._quietly(lambda: self.slider.param.update(start=low, end=high))
 
 
-def _written(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{value:.6g}"
 
 
 class FilterRows:
-    """A row of fields for each filter; a change by the user calls ``on_change(tables)`` with all filters as typed.
+    """A row of fields for each filter; a change by the user calls ``on_change(tables)`` with all filters as entered.
 
     ``default_filter(kind)`` is the filter that the button for ``kind`` adds.
     """
@@ -153,25 +153,27 @@ class FilterRows:
         self._filters: tuple[Filter, ...] = ()
         self.fields: list[dict[str, pn.widgets.TextInput]] = []
         self.rows = pn.Column(margin=0)
-        self.more = {
+        self.add_buttons = {
             kind: pn.widgets.Button(label=f"Add a {name.lower()}", width=145, margin=(4, 6))
             for kind, name in NAMES.items()
         }
-        for kind, button in self.more.items():
+        for kind, button in self.add_buttons.items():
             button.on_click(partial(self._pressed, partial(self._add, kind)))
-        self.view = pn.Column(self.rows, pn.Row(*self.more.values(), margin=0), margin=0)
+        self.view = pn.Column(self.rows, pn.Row(*self.add_buttons.values(), margin=0), margin=0)
 
     @property
     def tables(self) -> list[dict[str, Any]]:
-        """The filters as tables of an axis file, with changed fields as the user typed them."""
+        """The filters as tables of an axis file; changed fields have the text of the user."""
         tables = [filter.model_dump(exclude_none=True) for filter in self._filters]
         for table, fields in zip(tables, self.fields, strict=True):
-            typed = {name: str(field.value) for name, field in fields.items() if field.value != _written(table[name])}
-            table |= {name: _read(text) for name, text in typed.items()}
+            entered = {
+                name: str(field.value) for name, field in fields.items() if field.value != _format_number(table[name])
+            }
+            table |= {name: _read(text) for name, text in entered.items()}
         return tables
 
     def set(self, filters: tuple[Filter, ...]) -> None:
-        """Show ``filters`` without a call of ``on_change``; unchanged kinds keep their fields and pending input."""
+        """Show ``filters`` without calling ``on_change``; filters of the same kinds keep fields and pending input."""
         self._quiet = True
         try:
             before, self._filters = self._filters, filters
@@ -183,7 +185,7 @@ class FilterRows:
                 return
             for filter, fields in zip(filters, self.fields, strict=True):
                 for name, field in fields.items():
-                    field.value = _written(getattr(filter, name))
+                    field.value = _format_number(getattr(filter, name))
         finally:
             self._quiet = False
 
@@ -194,12 +196,12 @@ class FilterRows:
         return field
 
     def _row(self, place: int) -> pn.Row:
-        away = pn.widgets.Button(label="Remove", width=72, margin=(22, 0, 2, 6))
-        away.on_click(partial(self._pressed, partial(self._take_away, place)))
-        return pn.Row(*self.fields[place].values(), away, margin=0)
+        button = pn.widgets.Button(label="Remove", width=72, margin=(22, 0, 2, 6))
+        button.on_click(partial(self._pressed, partial(self._remove, place)))
+        return pn.Row(*self.fields[place].values(), button, margin=0)
 
-    def _pressed(self, act: Callable[[], None], event: Any) -> None:
-        after_this_event(act)
+    def _pressed(self, action: Callable[[], None], event: Any) -> None:
+        after_this_event(action)
 
     def _changed(self, event: Any) -> None:
         if self._quiet or self._waiting:
@@ -211,7 +213,7 @@ class FilterRows:
         self._waiting = False
         self._on_change(self.tables)
 
-    def _take_away(self, place: int) -> None:
+    def _remove(self, place: int) -> None:
         self._on_change([table for at, table in enumerate(self.tables) if at != place])
 
     def _add(self, kind: str) -> None:
@@ -219,7 +221,7 @@ class FilterRows:
 
 
 def _read(text: str) -> Any:
-    """Return ``text`` as a number, or unchanged if it is none, such as a frequency with its unit."""
+    """Return ``text`` as a number, or unchanged if it is not a plain number, such as a frequency with its unit."""
     try:
         return float(text)
     except ValueError:

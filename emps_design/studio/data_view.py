@@ -1,6 +1,6 @@
-"""The data tab: drop a record, choose its columns, and run a job on it whose model the design tab can take over.
+"""The data tab: load a record, choose its columns, and run a job on it; the design tab can use the resulting model.
 
-The jobs identify parameters, find the control law, observe the external force, estimate the frequency response, or
+The jobs identify parameters, identify the control law, observe the external force, estimate the frequency response, or
 diagnose what the model lacks.
 """
 
@@ -30,42 +30,42 @@ Options = dict[str, Any]  # choices of the tab: friction and filter of Identify,
 NAMED_MODEL, CLOSEST_MODEL = "named", "closest"
 
 NONE, AS_TITLED = "none", "as titled"
-CHOSEN = ("t", "q", "q_ref", "u")  # the columns that a record is made of
+CHOSEN = ("t", "q", "q_ref", "u")  # the columns of a record that the tab offers
 UNITS = ("s", "ms", "us", "m", "mm", "um", "rad", "deg", "rev", "V", "mV", "A", "mA", "N m", "N", "%")
 
 LIMIT_MB = 100
 SUFFIXES = (".mat", ".csv", ".txt", ".tsv", ".npz")
-# The dropper shows every file that arrived whole as accepted: a refused one must not have its green tick.
+# The file dropper marks every uploaded file as accepted; a refused one must not keep the green tick.
 REFUSED = """
 [data-filepond-item-state="processing-complete"] .filepond--item-panel { background-color: #9b1c1c !important; }
 .filepond--processing-complete-indicator, .filepond--file-status { display: none !important; }
 """
 INTRODUCTION = """
-<h3>What a record tells</h3>
+<h3>What you can do with a record</h3>
 <table class="about">
-<tr><th><b>Identify</b></th><td>mass and friction of the axis with their standard deviations: seconds</td></tr>
-<tr><th><b>Law</b></th><td>the controller that made the record, its structure and gains with their deviations, from
-reference, position and command alone: seconds</td></tr>
-<tr><th><b>Observe</b></th><td>the external force on the axis, and the smallest that shows: seconds</td></tr>
-<tr><th><b>Response</b></th><td>the frequency response from force to velocity with its band, beside the model, and the
-masses and the coupling that fit it, where the record was excited: seconds</td></tr>
-<tr><th><b>Diagnose</b></th><td>where simulation and record disagree, which effect explains it, and how much of the gap
-is gone with it: seconds to minutes, with a bar and a button to cancel</td></tr>
-<tr><th><b>Design on this model</b></th><td>take what was identified or diagnosed over into the design tab</td></tr>
+<tr><th><b>Identify</b></th><td>mass and friction of the axis with their standard deviations (takes seconds)</td></tr>
+<tr><th><b>Law</b></th><td>the controller that made the record: structure and gains with standard deviations, from
+reference, position and command only (takes seconds)</td></tr>
+<tr><th><b>Observe</b></th><td>the external force on the axis, and the smallest observable one (takes seconds)</td></tr>
+<tr><th><b>Response</b></th><td>the frequency response from force to velocity with its confidence band and that of the
+model, and the masses and the coupling that fit it, if the record has an excitation (takes seconds)</td></tr>
+<tr><th><b>Diagnose</b></th><td>where simulation and record disagree, which effect explains it, and how much smaller the
+gap is with that effect (takes seconds to minutes; can be cancelled)</td></tr>
+<tr><th><b>Design on this model</b></th><td>use the identified or diagnosed model in the design tab</td></tr>
 </table>
-<p>A record has the columns t [s], q_ref [m], q [m], u [V], and f_ext [N] where a force was measured; a .mat may use the
-names of the EMPS data set. The export of a drive shows its columns: choose what is what. A file stays on this machine.
-To practise, <code>emps-design init start</code> writes three.</p>
+<p>A record has the columns t [s], q_ref [m], q [m], u [V], and f_ext [N] if a force was measured; a .mat may use the
+names of the EMPS data set. For the export of a drive, choose what each column stands for. Files stay on this machine.
+<code>emps-design init start</code> writes three records to practise with.</p>
 """
 
 
 def _advice(name: str, document: dict[str, Any], record: Record, axis: Axis) -> Advice:
-    """Return the advice on the ``document`` that the command ``name`` makes of ``record``."""
+    """Return the advice on the ``document`` of the command ``name`` for ``record``."""
     return advise(name, document, axis=axis.name, records=[record.name], units=axis.units)
 
 
 def identify_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Identify ``record``; return the section of the report about it and the identified axis."""
+    """Identify ``record``; return the section of the report on it and the identified axis."""
     from emps_design.identification import identify
     from emps_design.report.record import identification_blocks
 
@@ -104,14 +104,14 @@ def observe_work(record: Record, axis: Axis, options: Options, progress: Callabl
     least = min(observation.methods.values(), key=lambda method: method.smallest.value).smallest.value
     return {
         "text": f"Observed with {axis.name}: {units.word('forces')} below {quantity(least, 'N', 3, units)} cannot be "
-        "told from errors.",
+        "distinguished from errors.",
         "html": Numbered(units).html(observation_blocks(observation)),
         "advice": _advice("observe", observation.to_dict(), record, axis),
     }
 
 
 def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Find the controller that made ``record``; return the section about it, and ``axis`` with it if it is found."""
+    """Identify the controller that made ``record``; return the section on it, and ``axis`` with it if identified."""
     from emps_design.identification.controller import identify_law
 
     progress("trying structures", 0.2)
@@ -127,7 +127,7 @@ def law_work(record: Record, axis: Axis, options: Options, progress: Callable) -
 
 
 def response_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Estimate the frequency response of ``record``; return it beside the model's, and the axis that fits it."""
+    """Estimate the frequency response of ``record``; return it with the model's, and the axis that fits it."""
     from emps_design.frequency_response import estimate_response
     from emps_design.report.loop_figures import response_picture
 
@@ -140,7 +140,7 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
     warnings = [Line(warning, "note") for warning in estimate.all_warnings]
     shown = (response_picture(comparison, estimate.spectral_ratio), *estimate.view(), *warnings)
     return {
-        "text": f"Response at {lines} lines by the {estimate.instrument}: {sentence}.",
+        "text": f"Response at {lines} lines, excited by the {estimate.instrument}: {sentence}.",
         "html": Numbered(axis.units).html(shown),
         "model": chain.on(axis).replace(name=f"{axis.name} with the response of {record.name}"),
         "advice": _advice("frf", estimate.to_dict(), record, axis),
@@ -148,7 +148,7 @@ def response_work(record: Record, axis: Axis, options: Options, progress: Callab
 
 
 def diagnose_work(record: Record, axis: Axis, options: Options, progress: Callable) -> dict[str, Any]:
-    """Find where ``record`` and ``axis`` disagree; return the blocks of the page and the model chosen in the tab."""
+    """Diagnose ``record`` on ``axis``; return the blocks of the page, and the named or the closest model."""
     from emps_design.discrepancy import diagnose
     from emps_design.report.diagnosis import diagnosis_page
 
@@ -196,7 +196,7 @@ class ColumnsView:
         }
         self.button = pn.widgets.Button(label="Read these columns", color="primary", width=160, margin=(24, 6, 4, 6))
         self.button.on_click(lambda event: self._read(self.table))
-        self.about = html("Columns of the file, and what each is. Choose anew where a wrong one was taken.")
+        self.about = html("Columns of the file and their meaning. Correct the choice where it is wrong.")
         pairs = [pn.Column(self.titles[name], self.units[name], margin=0) for name in CHOSEN]
         self.view = pn.Column(self.about, pn.FlexBox(*pairs, self.button, align_items="flex-start"), visible=False)
 
@@ -211,7 +211,7 @@ class ColumnsView:
         return ColumnMap.model_validate(chosen)
 
     def show(self, titles: Sequence[str], assigned: Sequence[Assignment], units: Units) -> None:
-        """Offer the ``titles`` of a file; chosen are the ``assigned`` columns, or those that the titles suggest."""
+        """Offer the ``titles`` of a file; preselect the ``assigned`` columns, or those that the titles suggest."""
         chosen = {assignment.name: assignment.title for assignment in assigned}
         for name, candidates in meanings(titles, units).items():
             if len(candidates) == 1:
@@ -232,40 +232,40 @@ class ColumnsView:
 
 
 def read_upload(name: str, content: bytes | str, axis: Axis) -> Record:
-    """Read an uploaded record of ``axis`` like any other file: checked, never executed or unpickled.
+    """Read an uploaded record of ``axis`` with the checks of any other file; it is never executed or unpickled.
 
     Raises :class:`RecordError` for another kind of file, or one above :data:`LIMIT_MB`.
     """
     from emps_design.importing import import_bytes
 
-    plain, data = _upload(name, content)
-    suffix = PurePath(plain).suffix.lower()
+    file, data = _upload(name, content)
+    suffix = PurePath(file).suffix.lower()
     if suffix not in SUFFIXES:
-        raise RecordError(f"{plain}: found a {suffix or 'nameless'} file, expected one of {', '.join(SUFFIXES)}")
+        raise RecordError(f"{file}: found suffix {suffix or 'none'}, expected one of {', '.join(SUFFIXES)}")
     if len(data) > LIMIT_MB * 10**6:
-        raise RecordError(f"{plain}: found {len(data) / 1e6:.0f} MB, expected at most {LIMIT_MB} MB")
-    return import_bytes(data, plain, axis)
+        raise RecordError(f"{file}: found {len(data) / 1e6:.0f} MB, expected at most {LIMIT_MB} MB")
+    return import_bytes(data, file, axis)
 
 
 def upload_titles(name: str, content: bytes | str) -> list[str]:
-    """Return the titles of the columns of an upload, or none if they cannot be read."""
+    """Return the column titles of an upload, [] if they cannot be read."""
     from emps_design.records.readers import titles_from_bytes
 
-    plain, data = _upload(name, content)
+    file, data = _upload(name, content)
     try:
-        return titles_from_bytes(data, plain)
+        return titles_from_bytes(data, file)
     except RecordError:
         return []
 
 
 def _upload(name: str, content: bytes | str) -> tuple[str, bytes]:
-    """The name of an upload without a path, and its bytes."""
-    plain = PurePath(name.replace("\\", "/")).name
-    return plain, content.encode() if isinstance(content, str) else bytes(content)
+    """The file name of an upload without its folder, and its bytes."""
+    file = PurePath(name.replace("\\", "/")).name
+    return file, content.encode() if isinstance(content, str) else bytes(content)
 
 
 def _dropper(label: str) -> pn.widgets.FileDropper:
-    """Return a field to drop one record on."""
+    """Return a field that takes one record by drag and drop."""
     return pn.widgets.FileDropper(
         label=label, max_file_size=f"{LIMIT_MB}MB", multiple=False, height=76, width=430, layout="compact",
         margin=(4, 6),
@@ -299,7 +299,7 @@ class DataView:
         self.columns = ColumnsView(self._read_columns)
         self.drop = _dropper(f"Record: drop or choose one; {', '.join(SUFFIXES)}, at most {LIMIT_MB} MB")
         self.drop.param.watch(self._dropped, "value")
-        self.second = _dropper("Second record, held out: Identify and Diagnose are tried on it")
+        self.second = _dropper("Second record, held out: to judge Identify and Diagnose")
         self.second.param.watch(self._second_dropped, "value")
         self.file = AxisFile(self._axis_opened, lambda text: self._say(text, "bad"))
         self.machine = pn.widgets.Select(
@@ -325,7 +325,7 @@ class DataView:
         self.take.on_click(self._taken)
         self.job = Job()
         self.message, self.about, self.result = html(), html(INTRODUCTION), blocks()
-        # The result stands beside the record where the window is wide, below it elsewhere.
+        # In a wide window the result stands beside the record, otherwise below it.
         self.about.styles = {"flex": "1 1 560px", "max-width": "900px"}
         self.result.styles = {"flex": "1 1 700px"}
         self.view = pn.Column(
@@ -362,14 +362,14 @@ class DataView:
     def _dropped(self, event: Any) -> None:
         if not event.new:
             return
-        name, content = list(event.new.items())[-1]  # an earlier file stays in the value; the last is the one dropped
-        if (name, content) == self._dropped_last:  # the removal of an earlier file sends this one again
+        name, content = list(event.new.items())[-1]  # earlier files stay in the value; the last one is new
+        if (name, content) == self._dropped_last:  # removing an earlier file sends the last one again
             return
         self._dropped_last, self._table = (name, content), None
         self._read_columns(None)
 
     def _second_dropped(self, event: Any) -> None:
-        """Hold out the record that was dropped, or none if it was removed; clear the result of the one before."""
+        """Read the new held-out record, or none after a removal, and clear the previous result."""
         dropped = list(event.new.items())[-1] if event.new else None
         if dropped == self._second_last:
             return
@@ -381,7 +381,7 @@ class DataView:
             self._say(refused, "bad")
 
     def _read_second(self) -> str:
-        """Read the held-out record like the first one; return why it is refused, or ""."""
+        """Read the held-out record; return why it is refused, or ""."""
         self.held_out, self.second.stylesheets = None, []
         if self._second_last is None:
             return ""
@@ -405,7 +405,7 @@ class DataView:
         self.machine.value = axis.name
 
     def _read_columns(self, table: ColumnMap | None) -> None:
-        """Read the last dropped file, with the columns of ``table`` if chosen; offer the columns of an export."""
+        """Read the last file, with the columns of ``table`` if given, and offer the columns of an export."""
         if self._dropped_last is None:
             return
         (name, content), axis = self._dropped_last, self._axis
@@ -421,15 +421,15 @@ class DataView:
         except EmpsError as error:
             self._withdraw()
             self._say(str(error), "bad")
-        plain = bool(assigned) and all(assignment.how == NAMED for assignment in assigned)
-        titles = [] if plain else upload_titles(name, content)
+        has_record_names = bool(assigned) and all(assignment.how == NAMED for assignment in assigned)
+        titles = [] if has_record_names else upload_titles(name, content)
         if not titles:
             self.columns.hide()
         elif table is None:
             self.columns.show(titles, assigned, axis.units)
 
     def _axis_chosen(self, event: Any) -> None:
-        """Read the record again for another axis: result and columns were those of the axis before."""
+        """Read the record again for another axis, since result and columns depend on the axis."""
         self._table = None
         if self._dropped_last is not None:
             self._read_columns(None)
@@ -437,7 +437,7 @@ class DataView:
             self._choice_changed(event)
 
     def _choice_changed(self, event: Any) -> None:
-        """Clear a result that was made with other choices than those shown above it."""
+        """Clear a result that was made with other choices than the present ones."""
         reader = "Diagnose" if event.obj is self.sought else "Identify"
         if self.record is not None and (self._work == reader or event.obj is self.machine):
             self._show(self.record)
@@ -456,7 +456,7 @@ class DataView:
         return {"record": self.record, "record_axis": self._axis, "record_filter": self.filter.value}
 
     def _withdraw(self) -> None:
-        """Clear record and result: after a refused upload they would stand under its name."""
+        """Clear record and result, so that they do not stand under the name of a refused upload."""
         self.job.stop()
         self.record, self.model = None, None
         self.take.disabled = True
@@ -507,14 +507,14 @@ class DataView:
             "held_out": self.held_out,
         }
 
-        def of_this_record(show: Callable[[Any], None]) -> Callable[[Any], None]:
+        def if_current(show: Callable[[Any], None]) -> Callable[[Any], None]:
             return lambda outcome: show(outcome) if self.record is record else None
 
-        outcome = of_this_record(self._done), of_this_record(self._failed)
+        callbacks = if_current(self._done), if_current(self._failed)
         if not self.job.occupied:
             self._work = name
-            self._say(f"{name} is at work on {record.name}", "note")
-            self.job.start(lambda progress: work(record, axis, options, progress), *outcome)
+            self._say(f"{name} is running on {record.name}", "note")
+            self.job.start(lambda progress: work(record, axis, options, progress), *callbacks)
 
     def _failed(self, message: str) -> None:
         self._say(message, "bad")
@@ -531,4 +531,4 @@ class DataView:
         if self.model is not None:
             self._take(self.model)
             self.machine.options = list(self._machines())
-            self._say(f"The design tab now works on {self.model.name}.", "good")
+            self._say(f"The design tab now uses {self.model.name}.", "good")

@@ -1,6 +1,6 @@
-"""The design tab: controls of the specification, and the gains, margins and pictures of the design.
+"""The design tab: controls of the specification, and the gains, margins and plots of the design.
 
-Its tables compare gains and margins with the requirements, and judge the force loop and the impedance law.
+Its tables compare gains and margins with the requirements, and show the verdicts on force loop and impedance law.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from emps_design.studio.controls import FilterRows, Knob
 from emps_design.studio.panes import AxisFile, bold, html, judgement, message
 from emps_design.studio.plots import LoopPlots, PlanePlot, feasible, plane
 from emps_design.studio.ranges import requirements
-from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, differences_in_words, taken_for
+from emps_design.studio.state import LABELS, PLACES, SPECIFICATIONS, State, conversion_in_words, differences_in_words
 from emps_design.view import Line, Table, View
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ GROUPS = (
     ("Impedance law", ("mass", "damping", "filter", "mismatch_percent")),
 )
 
-# The specification of the velocity loop: a number that the user sets and that cannot be reached moves to the nearest.
+# The specification of the velocity loop: an infeasible number is moved to the nearest feasible one.
 SPECIFYING = ("frequency", "phase_margin_deg", "specification", "structure", "filters")
 
 
@@ -72,7 +72,7 @@ def numbers_view(state: State, design: VelocityLoopDesign, pinned: VelocityLoopD
         "structure",
         f"k_v1 [{units.unit('V/(m/s)')}]",
         "t_v [ms]",
-        "phase, asked at velocity error",
+        "phase, specified at velocity error",
         "phase, plant input, continuous",
         "phase, plant input, sampled",
         "delay margin, sampled",
@@ -89,7 +89,7 @@ def _requirements(state: State, design: VelocityLoopDesign) -> Line:
         return Line(bold("The sampled loop is unstable: no requirement is met.", "no"))
     return Line(
         markup(
-            "Phase margin {} of {} required: {} · overshoot {} % of {} % allowed: {}",
+            "Phase margin {}, required {}: {} · overshoot {} %, allowed {} %: {}",
             angle(achieved.phase_margin_deg),
             angle(state.required_phase_deg),
             _check(achieved.phase_met),
@@ -101,7 +101,7 @@ def _requirements(state: State, design: VelocityLoopDesign) -> Line:
 
 
 def verdict_message(design: VelocityLoopDesign) -> str:
-    """Return the advice on ``design`` as HTML, by the worst loop that will run."""
+    """Return the advice on ``design`` as HTML, judged by its worst loop."""
     from emps_design.control.verdict import DesignVerdict
 
     verdict = DesignVerdict(design)
@@ -127,7 +127,7 @@ def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, st
     except EmpsError as error:
         return [(loop, str(error))]
     if not design.sampled.stable:
-        return [(loop, bold("the velocity loop inside it is unstable", "no"))]
+        return [(loop, bold("the inner velocity loop is unstable", "no"))]
     limit = force.k_e1_max_sampled
     felt = f"{quantity(force.k_c, 'N/(m/s)', units=units)}, {quantity(force.apparent_mass, 'kg', units=units)}"
     return [
@@ -136,7 +136,7 @@ def _force_cells(state: State, design: VelocityLoopDesign) -> list[tuple[str, st
             f"k_e1, largest [{units.unit('(m/s)/N')}]",
             f"{number(state.k_e1)}, {'unbounded' if limit is None else number(limit)}",
         ),
-        (f"felt: damping, {units.word('mass')}", felt),
+        (f"apparent damping, {units.word('mass')}", felt),
     ]
 
 
@@ -168,19 +168,19 @@ def _impedance_cells(state: State) -> list[tuple[str, str]]:
 
     return [
         ("impedance law, exact", shown(exact)),
-        (f"over-estimate of {state.mismatch_percent:g} %", shown(over)),
+        (f"estimates {state.mismatch_percent:g} % too large", shown(over)),
         (
-            f"felt then: {units.word('mass')}, damping",
+            f"apparent {units.word('mass')}, damping then",
             f"{quantity(felt.mass, 'kg', units=units)}, {quantity(felt.damping, 'N/(m/s)', units=units)}",
         ),
-        ("Coulomb left", quantity(felt.coulomb_left, "N", units=units)),
+        ("remaining Coulomb friction", quantity(felt.coulomb_left, "N", units=units)),
     ]
 
 
 class DesignView:
-    """Controls on the left, numbers and pictures on the right; ``changed(state)`` is called after each change.
+    """Controls on the left, numbers and plots on the right; ``changed(state)`` is called after each change.
 
-    ``opened(axis)`` is called with an axis from a file; the default designs on it.
+    ``opened(axis)`` is called with an axis from a file; by default :meth:`add_axis`.
     """
 
     def __init__(
@@ -200,8 +200,8 @@ class DesignView:
         )
         self.machine.param.watch(lambda event: self._design_on(self.machines[event.new]), "value")
         self.file = AxisFile(opened or self.add_axis, self._refuse, width=306)
-        self.fresh = pn.widgets.Button(label="Start values of this axis", width=306, margin=(2, 6))
-        self.fresh.on_click(lambda event: self._start_values())
+        self.reset = pn.widgets.Button(label="Default values for this axis", width=306, margin=(2, 6))
+        self.reset.on_click(lambda event: self._default_values())
         self.words = {
             "specification": pn.widgets.RadioButtonGroup(
                 label="Frequency means",
@@ -237,7 +237,7 @@ class DesignView:
             groups += [self.words["specification"]] if title == "Velocity loop" else []
             groups += [self.knobs[name].view for name in names]
             groups += [self.words["structure"], self.filters.view] if title == "Velocity loop" else []
-        axis = (self.machine, self.file.field, self.fresh)
+        axis = (self.machine, self.file.field, self.reset)
         controls = pn.Column(*axis, *groups, width=330, margin=(0, 8, 0, 0))
         p = self.plots
         columns = ((p.magnitude, p.phase), (p.nyquist, self.plane), (p.step, p.z_plane))
@@ -265,13 +265,13 @@ class DesignView:
         return first_try(self.state.axis, self.state.frequency, kind)
 
     def _design_on(self, axis: Axis) -> None:
-        """Design the specification on ``axis``, and list what the axis has changed in the state."""
+        """Design the specification on ``axis``, and list the numbers that changed with the axis."""
         before = self.state
         after = before.with_axis(axis)
         self.set_state(after, differences_in_words(before, after))
         self._changed(self.state)
 
-    def _start_values(self) -> None:
+    def _default_values(self) -> None:
         self.set_state(replace(State.of(self.state.axis), pinned=self.state.pinned))
         self._changed(self.state)
 
@@ -282,7 +282,7 @@ class DesignView:
     def turn(self, name: str, value: Any) -> None:
         """Change one number or word of the state, from any tab, and show the new design.
 
-        A refused value changes nothing: the control returns to that of the design shown.
+        If the value is refused, the control returns to the value of the present design.
         """
         before = self.state
         try:
@@ -293,11 +293,11 @@ class DesignView:
             if name == "place":
                 self._show_pinned()
             elif name in self.knobs or name in self.words or name == "filters":
-                self._design(taken_for(name, value), move=name in SPECIFYING)
+                self._design(conversion_in_words(name, value), move=name in SPECIFYING)
         except EmpsError as error:
             self.state = before
             self._suit()
-            self._refuse(f"{error}; the design stays as it was")
+            self._refuse(f"{error}; the design is unchanged")
         self._show_controls()
         self._changed(self.state)
 
@@ -315,8 +315,8 @@ class DesignView:
         """Draw the pinned design as grey lines, or remove them."""
         from emps_design.studio.files_view import velocity_design
 
-        kept = self.state.pinned
-        self.pinned = None if kept is None else velocity_design(kept)
+        pinned = self.state.pinned
+        self.pinned = None if pinned is None else velocity_design(pinned)
         if self.pinned is None:
             self.plots.unpin()
         else:
@@ -325,7 +325,7 @@ class DesignView:
         self.refresh(note)
 
     def add_axis(self, axis: Axis) -> None:
-        """Offer ``axis`` in the list, choose it, and design on it."""
+        """Add ``axis`` to the list, select it, and design on it."""
         self.machines[axis.name] = axis
         self.machine.options = list(self.machines)
         if self.machine.value == axis.name:
@@ -334,14 +334,14 @@ class DesignView:
             self.machine.value = axis.name
 
     def set_state(self, state: State, note: str = "") -> None:
-        """Show ``state`` in every control, and design it; the message begins with ``note``."""
+        """Show ``state`` in every control and design it; the message begins with ``note``."""
         self.state = state
         self._suit()
         self._show_controls()
         self._show_pinned(note)
 
     def _suit(self) -> None:
-        """Give every knob the label and range of the axis."""
+        """Set label and range of every knob for the axis."""
         for knob in self.knobs.values():
             knob.suit(self.state)
 
@@ -361,28 +361,28 @@ class DesignView:
             self._quiet = False
 
     def _feasible_note(self, move: bool) -> tuple[str, bool]:
-        """Return what can be reached in words, and whether there is a design; with ``move`` the state moves there."""
+        """Return the feasible range in words, and whether it has a design; ``move`` moves the state into it."""
         notes: list[str] = []
         reachable, requested = feasible(self.state), self.state.frequency
         frequency = reachable.nearest_frequency(requested)
         if frequency == requested:
             notes += [reachable.text, reachable.beyond]
         elif move:
-            notes += [reachable.text, f"The frequency asked for moved from {requested:g} to {frequency:g} rad/s."]
+            notes += [reachable.text, f"The frequency was moved from {requested:g} to {frequency:g} rad/s."]
             self.state = self.state.changed(frequency=frequency)
             reachable = feasible(self.state)
             notes.append(reachable.text)
         else:
-            notes += [reachable.text, f"The nearest frequency that can be reached is {frequency:g} rad/s."]
+            notes += [reachable.text, f"The nearest feasible frequency is {frequency:g} rad/s."]
         if reachable.frequencies is not None:
             self.knobs["frequency"].limit(*reachable.frequencies, self.state.frequency)
         low, high, margin = reachable.low, reachable.high, self.state.phase_margin_deg
         phase = reachable.nearest(margin)
         if phase not in (None, margin) and move:
-            notes.append(f"The phase margin asked for moved from {margin:g}° to {phase:g}°.")
+            notes.append(f"The phase margin was moved from {margin:g}° to {phase:g}°.")
             self.state = self.state.changed(phase_margin_deg=phase)
         elif phase not in (None, margin):
-            notes.append(f"The nearest phase margin that can be reached is {phase:g}°.")
+            notes.append(f"The nearest feasible phase margin is {phase:g}°.")
         if low is not None and high is not None:
             self.knobs["phase_margin_deg"].limit(low, high, self.state.phase_margin_deg)
         return " ".join(filter(None, notes)), not reachable.empty
@@ -394,7 +394,7 @@ class DesignView:
         except EmpsError as error:
             self.design = None
             self.verdict.object = self.numbers.object = self.laws.object = ""
-            self._refuse(f"{note} {error}; there is no design, the pictures are of the one before".strip())
+            self._refuse(f"{note} {error}; there is no design, the plots show the previous one".strip())
 
     def _design(self, note: str = "", move: bool = False) -> None:
         from emps_design.studio.files_view import velocity_design

@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     from emps_design.compensation import Compensation
     from emps_design.control.velocity.design import VelocityLoopDesign
 
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the zip format's first day, in place of the time of writing
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date of the zip format, instead of the time of writing
 
 Work = Callable[[Progress], bytes]
-# A download is a link styled as a button, which the button's type does not colour.
+# A download is a link styled as a button; the color of the button does not apply to it.
 BUTTON = ":host { --surface-color: #0072b2; --surface-text-color: #fff; }"
-REPORT = "the whole design as one page to read, print and hand on, with the record where one is loaded"
-VECTORS, PIXELS = "every figure of the design as vectors, for a paper", "the same as pixels, for slides"
-MODEL = "the axis with the controller of the design: every emps-design command takes it"
+REPORT = "the whole design as one page, with the record if one is loaded"
+VECTORS, PIXELS = "all figures of the design as vector graphics, for a paper", "the same as bitmaps, for slides"
+MODEL = "the axis with the controller of the design, for every emps-design command"
 GAINS = "gains and margins, as emps-design gains --json prints them"
-STATE = "everything the controls of all tabs hold, and the pinned design: to go on another day"
+STATE = "the values of all controls and the pinned design, to continue later"
 
 
 def velocity_design(state: State) -> VelocityLoopDesign:
-    """Design the velocity loop that ``state`` specifies."""
+    """The velocity loop for the specification of ``state``."""
     from emps_design.control.velocity.design import design_velocity_loop
 
     return design_velocity_loop(state.axis, **state.requested)
@@ -74,7 +74,7 @@ def report_html(state: State, measured: Mapping[str, Any] | None = None, progres
 
 
 def figures(state: State, progress: Progress = no_progress) -> dict[str, Figure]:
-    """Return the pictures of ``state`` as matplotlib figures by name."""
+    """Return the figures of ``state``, by name."""
     from emps_design.control.force import design_force_loop
     from emps_design.report.diagrams import velocity_and_force_loop_diagram
     from emps_design.report.loop_figures import velocity_loop_figures
@@ -93,18 +93,18 @@ def figures(state: State, progress: Progress = no_progress) -> dict[str, Figure]
 
 
 def figures_zip(state: State, kind: str, progress: Progress = no_progress) -> bytes:
-    """Return all pictures in one archive; ``kind`` is "svg" or "png"."""
+    """Return all figures in one zip archive; ``kind`` is "svg" or "png"."""
     from emps_design.report import style
 
-    drawn, made = figures(state, of_part(progress, 0.0, 0.5)), {}
+    drawn, archive = figures(state, of_part(progress, 0.0, 0.5)), {}
     for place, (name, figure) in enumerate(drawn.items()):
         progress(name, 0.5 + 0.5 * place / len(drawn))
-        made[f"{name}.{kind}"] = style.svg(figure, name).encode() if kind == "svg" else style.png(figure)
-    return _zipped(made)
+        archive[f"{name}.{kind}"] = style.svg(figure, name).encode() if kind == "svg" else style.png(figure)
+    return _zip(archive)
 
 
-def _zipped(files: dict[str, bytes]) -> bytes:
-    """Return ``files`` by name in one archive; the same files give the same bytes."""
+def _zip(files: dict[str, bytes]) -> bytes:
+    """Return ``files`` by name in one zip archive; the same files give the same bytes."""
     out = BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in files.items():
@@ -113,7 +113,7 @@ def _zipped(files: dict[str, bytes]) -> bytes:
 
 
 def follows(axis: Axis) -> str:
-    """Return what the controller of ``axis`` follows: "position", "velocity", or "" for no reference."""
+    """Return the reference that the controller of ``axis`` follows: "position", "velocity", or "" for none."""
     from emps_design.laws import law_of
 
     kind = "rest position" if axis.controller.kind == "none" else law_of(axis, axis.sampling.period).follows
@@ -121,10 +121,10 @@ def follows(axis: Axis) -> str:
 
 
 def designed(state: State) -> Axis:
-    """Return the axis of ``state`` with the controller of its design; :class:`EmpsError` if that is unstable."""
+    """Return the axis of ``state`` with the designed controller; raises :class:`EmpsError` if that is unstable."""
     design = velocity_design(state)
     if design.refused:
-        raise EmpsError(f"no controller is handed out: {design.refused}")
+        raise EmpsError(f"no controller is written: {design.refused}")
     return state.axis.replace(controller=design.controller_table())
 
 
@@ -140,7 +140,7 @@ def drive_zip(compensation: Compensation) -> bytes:
         "compensation.json": _json_text(compensation.to_dict()),
         **{f"code/{name}": content for name, content in exported.files.items()},
     }
-    return _zipped({name: text.encode() if isinstance(text, str) else text for name, text in files.items()})
+    return _zip({name: text.encode() if isinstance(text, str) else text for name, text in files.items()})
 
 
 def gains_json(state: State) -> str:
@@ -172,7 +172,7 @@ class FilesView:
         self.message, self.job = html(), Job()
 
         def report() -> Work:
-            now, of_record = state(), measured()  # as they are when the button is pressed
+            now, of_record = state(), measured()  # at the time of the click
             return lambda progress: report_html(now, of_record, progress).encode()
 
         def pictures(kind: str) -> Callable[[], Work]:
@@ -192,10 +192,10 @@ class FilesView:
             ("Gains (JSON)", "gains.json", GAINS, lambda: gains_json(state())),
             ("State (TOML)", "state.toml", STATE, lambda: state().to_toml()),
         )
-        made: list[tuple[str, str, str, Callable[[], Any]]] = [
+        downloads: list[tuple[str, str, str, Callable[[], Any]]] = [
             (label, name, what, self._in_background(name, begin)) for label, name, what, begin in long
         ]
-        made += [(label, name, what, self._at_once(name, make)) for label, name, what, make in short]
+        downloads += [(label, name, what, self._at_once(name, make)) for label, name, what, make in short]
         rows = [
             pn.Row(
                 pn.widgets.FileDownload(
@@ -210,16 +210,16 @@ class FilesView:
                 pn.pane.HTML(inline(what), margin=(10, 6), stylesheets=["div { font-size: 13px; }"]),
                 margin=0,
             )
-            for label, name, what, callback in made
+            for label, name, what, callback in downloads
         ]
         self.load = pn.widgets.FileInput(label="State to load (.toml)", accept=".toml", multiple=False, margin=(4, 6))
         self.load.param.watch(self._load, "value")
         self.view = pn.Column(
             self.job.view,
             self.message,
-            html("<h3>Save what the design tab shows</h3>", margin=(6, 6, 0, 6)),
+            html("<h3>Save the present design</h3>", margin=(6, 6, 0, 6)),
             *rows,
-            html("<h3>Go on with a state saved before</h3>", margin=(14, 6, 0, 6)),
+            html("<h3>Continue with a saved state</h3>", margin=(14, 6, 0, 6)),
             self.load,
             sizing_mode="stretch_width",
         )
@@ -236,16 +236,16 @@ class FilesView:
         return callback
 
     def _in_background(self, name: str, begin: Callable[[], Work]) -> Callable[[], Awaitable[BytesIO]]:
-        """Return a download callback that runs the work of ``begin()``, called when the button is pressed."""
+        """Return a download callback that calls ``begin()`` at the click and runs the work that it returns."""
 
         async def callback() -> BytesIO:
-            self._say(f"emps-design-{name} is at work", "note")
+            self._say(f"emps-design-{name} is being made", "note")
             return self._deliver(name, await self.job.awaited(begin(), self._refuse))
 
         return callback
 
     def _deliver(self, name: str, data: bytes) -> BytesIO:
-        self._say(f"emps-design-{name} is handed to the browser's downloads", "good")
+        self._say(f"emps-design-{name} is in the browser's downloads", "good")
         return BytesIO(data)
 
     def _refuse(self, text: str) -> None:

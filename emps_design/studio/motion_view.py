@@ -1,8 +1,7 @@
-"""The tabs of a motion in closed loop and of its feed-forward.
+"""The motion tab and the compensation tab.
 
-The motion tab: a motion of the user's choice, simulated with the cascade of the design and the axis's controller.
-
-The compensation tab: choose the feed-forward terms, compare the tracking errors, download the files for a drive.
+The motion tab simulates a motion of the user's choice with the designed cascade and with the axis's own controller. In
+the compensation tab the user chooses feed-forward terms, compares tracking errors, and downloads the files for a drive.
 """
 
 from __future__ import annotations
@@ -43,29 +42,29 @@ MOTIONS = {"There and back": "there and back", "A file of mine": "file", "The re
 SHAPE = {"stroke": 95, "speed": 95, "acceleration": 150, "pause": 85}
 INTRODUCTION = """
 <h3>What is simulated</h3>
-<p>The axis, nonlinear, with everything its file has, along a motion of your own: in closed loop under the cascade of
-the design tab (its gains, structure and filters inside a position loop), and beside it under the controller of the axis
-where that follows a position.</p>
-<p>A file has the columns <code>t [s], q_ref [m]</code>, and <code>f_ext [N]</code> where a force acts on the axis;
-titles may have units. Way points are enough: between its rows the reference goes straight.</p>
+<p>The nonlinear axis with all its effects, along a motion of your choice, in closed loop: with the cascade of the
+design tab (its gains, structure and filters inside a position loop), and with the controller of the axis file if that
+follows a position.</p>
+<p>A file has the columns <code>t [s], q_ref [m]</code>, and <code>f_ext [N]</code> if a force acts on the axis; titles
+may have units. Way points are enough: the reference is interpolated linearly between the rows.</p>
 """
 
 FOLDER = "emps-design-drive.zip"
-COMPENSATION_DESIGN, COMPENSATION_OWN = "the design's", "the axis's own"  # controllers to be tried
+COMPENSATION_DESIGN, COMPENSATION_OWN = "the design's", "the axis's own"  # controllers to test
 COMPENSATION_INTRODUCTION = """
 <h3>What is fed forward</h3>
-<p>The command that the model says the reference needs, by the terms that are chosen, beside what the controller
-answers: that of the design tab, or the axis's own where it follows a reference. Each term is tried in closed loop on
-the nonlinear axis, alone and with its parameters 2 % and its phase 10 degrees wrong; one that does harm then is left
-out.</p>
-<p>The folder has the axis with the controller that was tried, the compensation, and both in C99 with the vectors that
-prove it: <code>make check</code> in <code>code</code> runs them.</p>
+<p>The command that the reference needs according to the model, from the chosen terms. It is added to the output of the
+controller: that of the design tab, or the axis's own if it follows a reference. Each term is tested in closed loop on
+the nonlinear axis, alone and with its parameters 2 % and its phase 10 degrees wrong; a term that then increases the
+error is left out.</p>
+<p>The folder contains the axis with the tested controller, the compensation, and both as C99 code with test vectors:
+<code>make check</code> in <code>code</code> runs them.</p>
 """
 
 
 @dataclass(frozen=True)
 class MotionRuns(Viewed):
-    """Runs along one reference by the names of their controllers; ``notes`` say why a run is missing."""
+    """Runs along one reference, by the names of their controllers; ``notes`` say why a run is missing."""
 
     state: State
     about: str
@@ -74,11 +73,11 @@ class MotionRuns(Viewed):
     notes: tuple[str, ...]
 
     def verdict(self) -> tuple[str, str]:
-        """Return the level of the verdict, one of the keys of a message, and its sentence."""
+        """Return the level of the verdict, such as "bad", and its sentence."""
         document, own, units = self.runs[DESIGN].to_dict(), self.runs.get(OWN), self.state.axis.units
         error, rate = document["tracking_error"], f"{self.loop.every}. " if self.loop.every > 1 else ""
         text = (
-            f"{self.about}, kp {self.loop.kp:g} 1/s in every {rate}sample: tracking error "
+            f"{self.about}, kp {self.loop.kp:g} 1/s, every {rate}sample: tracking error "
             f"{self._length(error['rms'])} rms, {self._length(error['largest'])} at most"
         )
         clipped = document["saturated_share"]
@@ -101,7 +100,7 @@ class MotionRuns(Viewed):
         return quantity(value, "m", units=self.state.axis.units)
 
     def view(self) -> View:
-        """The tracking error, the largest velocity and command, and the share at its limit, a row for each run."""
+        """Tracking error, largest velocity and command, and share of the time at the limit, one row per run."""
         units, rows = self.state.axis.units, []
         for name, followed in self.runs.items():
             document = followed.to_dict()
@@ -114,7 +113,7 @@ class MotionRuns(Viewed):
 
 
 def design_loop(state: State) -> PositionLoopDesign:
-    """Return the cascade of the design of ``state``: the position loop around it, at the rate of the axis."""
+    """Return the cascade of the design of ``state``, with the position loop at the rate of the axis."""
     from emps_design.control.position import PositionLoopDesign
 
     design = velocity_design(state)
@@ -134,7 +133,7 @@ def reference_of(
 ) -> tuple[str, np.ndarray, np.ndarray | None]:
     """Return the motion of ``state`` in words, its positions (n,) [m], and a force (n,) [N] on the axis or None.
 
-    ``file`` is a name and a content with the columns t, q_ref, and f_ext if a force acts.
+    ``file`` is the name and the content of a file with the columns t, q_ref, and f_ext if a force acts.
     """
     from emps_design.simulation.synthetic import reference_from_bytes, there_and_back
 
@@ -143,7 +142,7 @@ def reference_of(
         if file is None:
             raise InputError("motion: found no file, expected one with the columns t and q_ref")
         q_ref, f_ext, _ = reference_from_bytes(file[1], file[0], period, state.axis.units)
-        return f"{file[0]}, straight between its rows", q_ref, f_ext
+        return f"{file[0]}, interpolated linearly", q_ref, f_ext
     if state.motion == "record":
         if record is None or not record.q_ref_recorded:
             raise InputError("motion: found no record with a reference, expected one in the data tab")
@@ -166,7 +165,7 @@ def move(state: State, file: tuple[str, bytes] | None, record: Record | None, pr
     axis = state.axis
     try:
         if follows(axis) != "position":
-            raise InputError(f"the axis's controller is {axis.controller.kind}, which follows no position")
+            raise InputError(f"the axis's {axis.controller.kind} controller does not follow a position")
         runs[OWN] = follow(axis, q_ref, f_ext)
     except EmpsError as error:
         notes.append(f"No second run: {error}.")
@@ -175,7 +174,7 @@ def move(state: State, file: tuple[str, bytes] | None, record: Record | None, pr
 
 
 class MotionView:
-    """Choose a motion and run it; shows reference, error and command with the design and with the axis as it is."""
+    """Choice and simulation of a motion, with plots of reference, error and command for both controllers."""
 
     def __init__(
         self, state: Callable[[], State], turn: Callable[[str, Any], None], record: Callable[[], Record | None]
@@ -197,11 +196,11 @@ class MotionView:
         self.fields = {name: Field(name, getattr(now, name), turn, width) for name, width in SHAPE.items()}
         self.fields["position_kp"] = Field("position_kp", now.position_kp, turn, 150)
         self.file = pn.widgets.FileInput(
-            label="Way (.csv, .npz)", accept=".csv,.npz,.txt", multiple=False, margin=(4, 6)
+            label="Motion file (.csv, .npz)", accept=".csv,.npz,.txt", multiple=False, margin=(4, 6)
         )
         self.file.param.watch(self._uploaded, "value")
         self.run = pn.widgets.Button(label="Move", color="primary", width=100, margin=(22, 6, 2, 6))
-        self.run.on_click(lambda event: after_this_event(self._start))  # a number typed just before comes first
+        self.run.on_click(lambda event: after_this_event(self._start))  # a number entered just before counts
         self.job = Job()
         self.message, self.table, self.picture = html(), html(INTRODUCTION), html()
         shape = [self.fields[name].field for name in SHAPE]
@@ -215,7 +214,7 @@ class MotionView:
         self.show(now)
 
     def show(self, state: State) -> None:
-        """Show the numbers of ``state``, and remove a result of other numbers."""
+        """Show the numbers of ``state``, and remove an outdated result."""
         for name, select in self.words.items():
             select.value = getattr(state, name)
         for name, field in self.fields.items():
@@ -230,14 +229,14 @@ class MotionView:
             self.withdraw()
 
     def withdraw(self) -> None:
-        """Remove the result: it was of other numbers."""
+        """Remove an outdated result."""
         self.job.stop()
         self.motion_runs, self._of = None, None
         self.message.object, self.table.object, self.picture.object = "", INTRODUCTION, ""
 
     def _uploaded(self, event: Any) -> None:
         if event.new:
-            self._file = PurePath((self.file.filename or "way").replace("\\", "/")).name, bytes(event.new)
+            self._file = PurePath((self.file.filename or "motion").replace("\\", "/")).name, bytes(event.new)
             self.withdraw()
 
     def _start(self) -> None:
@@ -256,7 +255,9 @@ class MotionView:
 
     def _done(self, motion_runs: MotionRuns) -> None:
         self.motion_runs, units = motion_runs, motion_runs.state.axis.units
-        drawn = svg(labelled(motion_figure(motion_runs.runs), units), "motion")  # before the words that stand over it
+        drawn = svg(
+            labelled(motion_figure(motion_runs.runs), units), "motion"
+        )  # before the text, as drawing takes long
         level, text = motion_runs.verdict()
         notes = "".join(f"<br>{inline(note)}" for note in motion_runs.notes)
         self.message.object = judgement(text, level, notes)
@@ -271,7 +272,7 @@ def read_by_motion(state: State) -> tuple[Any, ...]:
 
 
 class CompensationView:
-    """Choose terms, try them, and download axis, compensation and code."""
+    """Choice and test of feed-forward terms, and the download of axis, compensation and code."""
 
     def __init__(self, state: Callable[[], State]):
         self._state, self._axis = state, state().axis
@@ -280,7 +281,7 @@ class CompensationView:
         self.terms.param.watch(lambda event: self._withdraw(), "value")
         self.controller = pn.widgets.Select(label="Controller", options=[COMPENSATION_DESIGN], width=200, margin=(4, 6))
         self.controller.param.watch(lambda event: self._withdraw(), "value")
-        self.run = pn.widgets.Button(label="Try them", color="primary", width=110, margin=(4, 6))
+        self.run = pn.widgets.Button(label="Test them", color="primary", width=110, margin=(4, 6))
         self.run.on_click(lambda event: self._start())
         self.download = pn.widgets.FileDownload(
             callback=self._folder, filename=FOLDER, label="Download the folder", color="primary", width=200,
@@ -304,24 +305,24 @@ class CompensationView:
             self._offer()
 
     def _controlled(self, state: State) -> Axis | None:
-        """The axis that would be compensated, or None if its design is refused."""
+        """The axis to compensate, None if its design is refused."""
         try:
             return self._chosen(state)
         except EmpsError:
             return None
 
     def _chosen(self, state: State) -> Axis:
-        """The axis of ``state`` with the chosen controller; :class:`EmpsError` if its design is refused."""
+        """The axis of ``state`` with the chosen controller; raises :class:`EmpsError` if its design is refused."""
         return state.axis if self.controller.value == COMPENSATION_OWN else designed(state)
 
     def _offer(self) -> None:
         try:
-            own = bool(follows(self._axis))
+            has_reference = bool(follows(self._axis))
         except EmpsError:  # gains that only a record has
-            own = False
-        chosen = self.controller.value if own else COMPENSATION_DESIGN
+            has_reference = False
+        chosen = self.controller.value if has_reference else COMPENSATION_DESIGN
         self.controller.param.update(
-            options=[COMPENSATION_DESIGN, COMPENSATION_OWN] if own else [COMPENSATION_DESIGN], value=chosen
+            options=[COMPENSATION_DESIGN, COMPENSATION_OWN] if has_reference else [COMPENSATION_DESIGN], value=chosen
         )
         possible, excluded = terms_of(self._axis)
         self.terms.options = {name.replace("_", " "): name for name in possible}
@@ -332,7 +333,7 @@ class CompensationView:
         self._withdraw()
 
     def _withdraw(self) -> None:
-        """Remove the result: it was of other terms or of another axis."""
+        """Remove a result of other terms or of another axis."""
         self.job.stop()
         self.compensation, self.download.disabled = None, True
         self.message.object, self.table.object, self.picture.object = "", COMPENSATION_INTRODUCTION, ""
@@ -370,7 +371,7 @@ class CompensationView:
     def _folder(self) -> BytesIO:
         try:
             if self.compensation is None:
-                raise EmpsError("nothing was tried yet")
+                raise EmpsError("no compensation was tested yet")
             data = drive_zip(self.compensation)
         except EmpsError as error:
             self._say(str(error), "bad")

@@ -1,7 +1,7 @@
-"""Parts of the studio's pages: panes of text and tables, a field that opens an axis file, and jobs in a thread.
+"""Parts of the studio's pages: panes for text and tables, a field for an axis file, and jobs in a thread.
 
-A pane carries the studio's style itself: its shadow root would keep it out otherwise. A job shows its progress and can
-be cancelled.
+Each pane has the studio's style sheet, since styles of the page do not reach its shadow root. A job shows its progress
+and can be cancelled.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ def html(text: str = "", **options: Any) -> pn.pane.HTML:
 
 
 def message(text: str, level: str, more: str = "") -> str:
-    """Return ``text`` as the HTML of a message; screen readers read level ``bad`` at once; ``more`` is HTML."""
+    """Return ``text``, followed by the HTML ``more``, as a message; screen readers read level ``bad`` at once."""
     role = "alert" if level == "bad" else "status"
     return f'<div class="message {level}" role="{role}">{inline(text)}{more}</div>'
 
 
 def judgement(text: str, level: str, more: str = "") -> str:
-    """Return the message on a result as HTML: what to do with it, then the reason ``text``.
+    """Return a verdict as the HTML of a message: the advice of its level, then the reason ``text``.
 
     >>> judgement("The loop is unstable.", "bad")
     '<div class="message bad" role="alert"><b>Do not run this.</b> The loop is unstable.</div>'
@@ -94,13 +94,13 @@ def blocks() -> pn.pane.HTML:
 class AxisFile:
     """A field for an axis file; calls ``take(axis)``, or ``refuse(text)`` with the reason.
 
-    An axis with the name of an embedded machine gets the name of its file as well, so that both can be chosen.
+    If an embedded machine has the same name, the name of the file is added, so that both can be selected.
     """
 
     def __init__(self, take: Callable[[Axis], None], refuse: Callable[[str], None], width: int = 230):
         self._take, self._refuse = take, refuse
         self.field = pn.widgets.FileInput(
-            label="Axis file of your own (.toml)", accept=".toml", multiple=False, width=width, margin=(2, 6)
+            label="Open an axis file (.toml)", accept=".toml", multiple=False, width=width, margin=(2, 6)
         )
         self.field.param.watch(self._opened, "value")
 
@@ -108,7 +108,7 @@ class AxisFile:
         if not event.new:
             return
         name, content = PurePath((self.field.filename or "axis.toml").replace("\\", "/")).name, bytes(event.new)
-        self.field.value = None  # here and in the browser, so that the same file can be opened again after an edit
+        self.field.value = None  # here and in the browser: so the same file can be opened again after an edit
         self.field.clear()
         try:
             axis = Axis.from_toml(content.decode("utf-8"), name)
@@ -121,7 +121,7 @@ class AxisFile:
 
 
 class Cancelled(BaseException):
-    """Raised in a job that the user has cancelled; a BaseException, so that no step of the job handles it."""
+    """Raised in a cancelled job; a BaseException, so that no step of the job handles it."""
 
 
 class Job:
@@ -150,18 +150,18 @@ class Job:
 
     @property
     def occupied(self) -> bool:
-        """Whether a job runs that was not cancelled: no other can be started."""
+        """Whether a job runs and is not being cancelled, so that no other can start."""
         return self.running and not self._stop.is_set()
 
     def stop(self) -> None:
-        """Cancel the running job, if any, and the one that waits for its end."""
+        """Cancel the running job and the one that waits for its end, if any."""
         self._next = None
         self._stop.set()
 
     def awaited(self, work: Callable[[Callable], Any], failed: Callable[[str], None]) -> asyncio.Future[Any]:
-        """Start ``work`` from a coroutine and return a future of what it returns.
+        """Start ``work`` from a coroutine and return a future of its result.
 
-        If the work fails or a job runs already, ``failed(message)`` is called and the future is cancelled.
+        If the work fails or a job is already running, ``failed(message)`` is called and the future is cancelled.
         """
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
 
@@ -170,15 +170,15 @@ class Job:
             future.cancel()
 
         if self.running or not self.start(work, future.set_result, give_up):
-            give_up("Other work is going on: cancel it, or wait for its end.")
+            give_up("Another job is running: cancel it, or wait for its end.")
         return future
 
     def start(
         self, work: Callable[[Callable], Any], done: Callable[[Any], None], failed: Callable[[str], None]
     ) -> bool:
-        """Start ``work`` and later call ``done(result)`` or ``failed(message)``; return False if a job runs already.
+        """Start ``work`` and later call ``done(result)`` or ``failed(message)``; return False if a job is running.
 
-        A cancelled job ends first, without a message.
+        If that job is being cancelled, ``work`` starts after its end.
         """
         if self.occupied:
             return False
@@ -201,7 +201,7 @@ class Job:
                 self._outcome = ("failed", CANCELLED)
             except EmpsError as error:
                 self._outcome = ("failed", str(error))
-            except Exception as error:  # a defect: say so on the page, the session goes on
+            except Exception as error:  # a defect is shown on the page, and the session continues
                 self._outcome = ("failed", f"{type(error).__name__}: {error}")
 
         thread = threading.Thread(target=run, daemon=True)

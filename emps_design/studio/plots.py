@@ -1,7 +1,7 @@
-"""The pictures of the design tab, and the specifications that can be reached.
+"""The plots of the design tab, and the feasible specifications.
 
-Bokeh draws the axes that a page draws with matplotlib. The pictures are made once; afterwards only their data change,
-so that they follow the controls at once. The reachable specifications limit the controls and colour the plane of
+Bokeh draws the axes that a page draws with matplotlib. The plots are made once; afterwards only their data change, so
+that they follow the controls without delay. The feasible specifications limit the controls and colour the plane of
 specifications.
 """
 
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from emps_design.control.velocity.specification import Pairs
 
 STEP = 0.5  # deg
-UNSTABLE, NO_GAIN = "the sampled loop is unstable", "no gains are positive"
+UNSTABLE, NO_GAIN = "the sampled loop is unstable", "there are no positive gains"
 
 
-KINDS = ("no positive gains", "sampled loop unstable", "below the required margin", "meets it")
+KINDS = ("no positive gains", "sampled loop unstable", "below the required margin", "meets the requirement")
 
 TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
-ASPECT = 1.28  # width over height: two rows fit both screens
+ASPECT = 1.28  # width over height: two rows fit on a screen
 DASHES = {"-": "solid", "--": "dashed", ":": "dotted"}
 CORNERS = {"lower right": "bottom_right", "lower left": "bottom_left"}  # of a legend
 MARKS = {"o": "circle", "s": "square", "x": "x", "X": "x", "P": "cross", "^": "triangle", "D": "diamond"}
@@ -48,8 +48,7 @@ MARKS = {"o": "circle", "s": "square", "x": "x", "X": "x", "P": "cross", "^": "t
 class Plane:
     """Kinds of loops over a plane of specifications: ``kind`` (m, n) as indices into ``KINDS``, at the cells' centres.
 
-    ``x`` (n,) [rad/s] is evenly spaced in its logarithm, from end to end of ``range``; ``y`` (m,) are phase margins
-    [deg].
+    ``x`` (n,) [rad/s] is evenly spaced on a logarithmic scale over ``range``; ``y`` (m,) are phase margins [deg].
     """
 
     range: tuple[float, float]
@@ -60,10 +59,10 @@ class Plane:
 
 @dataclass(frozen=True)
 class Feasible:
-    """Reachable frequencies [rad/s], reachable phase margins [deg] at one of them, and what limits them in words.
+    """Feasible frequencies [rad/s], feasible phase margins [deg] at one of them, and their limits in words.
 
-    ``low`` and ``high`` are None if no phase margin can be reached at that frequency, ``frequencies`` if none can at
-    any; ``upper`` [rad/s] is the end of the control.
+    ``low`` and ``high`` are None if no phase margin is feasible at that frequency; ``frequencies`` is None if none is
+    at any frequency. ``upper`` [rad/s] is the upper end of the control.
     """
 
     frequencies: tuple[float, float] | None
@@ -74,7 +73,7 @@ class Feasible:
 
     @property
     def empty(self) -> bool:
-        """Whether no phase margin can be reached at that frequency."""
+        """Whether no phase margin is feasible at that frequency."""
         return self.low is None
 
     @property
@@ -83,19 +82,19 @@ class Feasible:
         if self.frequencies is None:
             return "Sample faster or remove delay."
         highest = self.frequencies[1]
-        return f"Above {highest:g} rad/s every phase margin is unstable." * (highest < self.upper)
+        return f"Above {highest:g} rad/s the loop is unstable with every phase margin." * (highest < self.upper)
 
     def nearest(self, phase_margin_deg: float) -> float | None:
-        """Return the reachable phase margin [deg] nearest to ``phase_margin_deg``, or None."""
+        """Return the feasible phase margin [deg] nearest to ``phase_margin_deg``, or None."""
         return None if self.low is None else float(np.clip(phase_margin_deg, self.low, self.high))
 
     def nearest_frequency(self, frequency: float) -> float:
-        """Return the reachable frequency [rad/s] nearest to ``frequency``, or ``frequency`` if there is none."""
+        """Return the feasible frequency [rad/s] nearest to ``frequency``, or ``frequency`` if there is none."""
         return frequency if self.frequencies is None else float(np.clip(frequency, *self.frequencies))
 
 
 def _pairs(state: State) -> Pairs:
-    """Return the specifications by frequency and phase margin for axis, structure and filters of ``state``."""
+    """Return the pairs of frequency and phase margin for axis, structure and filters of ``state``."""
     from emps_design.control.velocity.specification import pairs_by_closed_form
 
     requested = state.requested
@@ -113,13 +112,13 @@ def _designs(state: State, frequency: np.ndarray, phases: np.ndarray) -> tuple[n
 
 
 def feasible(state: State) -> Feasible:
-    """Return what positive gains with a stable sampled loop can reach around the specification of ``state``.
+    """Return the specifications near that of ``state`` with positive gains and a stable sampled loop.
 
-    Of several intervals of the phase margin it takes the one nearest to that of ``state``.
+    Of several intervals of the phase margin it is the one nearest to that of ``state``.
 
     >>> from emps_design.machines import machine
-    >>> found = feasible(State.of(machine("emps2018")).changed(computation_delay=1))
-    >>> found.low, found.high
+    >>> limits = feasible(State.of(machine("emps2018")).changed(computation_delay=1))
+    >>> limits.low, limits.high
     (15.0, 77.5)
     """
     choice = CHOICES["phase_margin_deg"]
@@ -129,7 +128,7 @@ def feasible(state: State) -> Feasible:
     where = f"at {state.specification} {state.frequency:g} rad/s"
     if not good.any():
         reason = f"{UNSTABLE} with every phase margin" if gains.any() else NO_GAIN
-        return Feasible(frequencies, upper, None, None, f"Nothing can be reached {where}: {reason}.")
+        return Feasible(frequencies, upper, None, None, f"No design is feasible {where}: {reason}.")
     middle = state.phase_margin_deg
     first, last = min(
         ((start, stop - 1) for start, stop in stretches(good)),
@@ -158,14 +157,14 @@ def _reachable(table: str) -> tuple[float, float] | None:
 
 
 def reachable_frequencies(state: State) -> tuple[float, float] | None:
-    """Return the lowest and highest frequency [rad/s] of the control with any reachable phase margin, or None."""
-    return _reachable(_velocity_loop_alone(state).to_toml())
+    """Return the lowest and highest frequency [rad/s] of the control with a feasible phase margin, or None."""
+    return _reachable(_velocity_loop_only(state).to_toml())
 
 
-def _velocity_loop_alone(state: State, **kept: Any) -> State:
-    """Return ``state`` with first values for all that the velocity loop does not depend on, as a key of the caches."""
+def _velocity_loop_only(state: State, **more: Any) -> State:
+    """Return ``state`` with defaults for all that the velocity loop does not depend on, as a key of the caches."""
     law: dict[str, Any] = {"specification": state.specification, "structure": state.structure, "filters": state.filters}
-    return replace(State.plain(state.axis), **law, **kept)
+    return replace(State.defaults(state.axis), **law, **more)
 
 
 @lru_cache(maxsize=16)
@@ -187,8 +186,8 @@ def _plane(table: str, columns: int, rows: int) -> Plane:
 
 
 def plane(state: State, columns: int = 90, rows: int = 60) -> Plane:
-    """Return the kinds of loops over frequencies, as the specification of ``state`` means them, and phase margins."""
-    return _plane(_velocity_loop_alone(state, required_phase_deg=state.required_phase_deg).to_toml(), columns, rows)
+    """Return the kinds of loops over frequency (crossover or bandwidth, by ``state``) and phase margin."""
+    return _plane(_velocity_loop_only(state, required_phase_deg=state.required_phase_deg).to_toml(), columns, rows)
 
 
 def blank(title: str, x: str, y: str, aspect: float = ASPECT, **options: Any) -> figure:
@@ -219,7 +218,7 @@ def _source(*names: str, **columns: Any) -> ColumnDataSource:
     return ColumnDataSource({name: [] for name in names} | columns)
 
 
-# Glyphs are added directly: the methods of a figure make four more of each, for selections that are not used here.
+# Glyphs are added directly: the methods of a figure make four copies of each, for selections that are not used here.
 def _points(plot: figure, source: ColumnDataSource, x: str, y: str, **look: Any) -> GlyphRenderer:
     return plot.add_glyph(source, Scatter(x=x, y=y, **look))
 
@@ -230,16 +229,16 @@ def _legend(items: list[LegendItem], **look: Any) -> Legend:
 
 
 class LivePlot:
-    """A figure that shows :class:`~emps_design.figures.Axes`; showing others changes its data only.
+    """A figure that shows :class:`~emps_design.figures.Axes`; other axes only change its data.
 
-    Its own ``y_range`` and ``ticks`` hold whatever it shows, so that the eye keeps its scale while a control turns.
-    The names of levels, and the marks along a line, are left out: there is no room, and they would take time.
+    ``y_range`` and ``ticks`` are fixed, so that the scale does not move with a control. Labels of levels and marks
+    along a line are not drawn, for space and speed.
     """
 
     def __init__(
         self, title: str, y_range: tuple[float, float] | None = None, ticks: Sequence[float] = (), **look: Any
     ):
-        """``look`` are options of the figure; without ``y_range`` its scales are equal, and its ends those shown."""
+        """Make the figure with the options ``look``; without ``y_range`` its scales are equal and fit the axes."""
         self.plot = plot = blank(title, "", "", match_aspect=y_range is None, **look)
         self.corners = _source("x", "y")
         if y_range is None:
@@ -258,7 +257,7 @@ class LivePlot:
         dashed: dict[str, Any] = {**line, "line_dash": "line"}
         mark: dict[str, Any] = {"marker": "mark", "size": "size", "fill_color": "color", "line_color": "color"}
         text: dict[str, Any] = {"x_offset": "right", "y_offset": "down", "text_align": "align", "text_color": "color"}
-        glyphs = {  # the columns that they read are the fields of the parts
+        glyphs = {  # their columns are the fields of the parts
             "areas": Patches(xs="x", ys="y", **fill),
             "bands x": VStrip(x0="low", x1="high", **fill),
             "bands y": HStrip(y0="low", y1="high", **fill),
@@ -293,7 +292,7 @@ class LivePlot:
                 parts[f"{kind} {part.axis}" if isinstance(part, Band | Level) else kind].append(part)
         for name, source in self.sources.items():
             data = {column: [_value(part, column) for part in parts[name]] for column in source.data}
-            if name in ("areas", "lines") or data != source.data:  # what has no arrays is seldom new
+            if name in ("areas", "lines") or data != source.data:  # the others have no arrays and seldom change
                 source.data = data
         self._name(named if axes.legend else [], axes.legend)
         self.plot.xaxis.axis_label, self.plot.yaxis.axis_label = axes.x, axes.y
@@ -315,20 +314,20 @@ class LivePlot:
 
 
 def _columns(glyph: Any) -> set[str]:
-    """The columns of a source that ``glyph`` reads."""
+    """The columns that ``glyph`` reads from its source."""
     values = glyph.properties_with_values(include_defaults=False).values()
     return {read.field for read in values if isinstance(read, Field)}
 
 
 def _value(part: Any, column: str) -> Any:
-    """The field ``column`` of a part as Bokeh calls it."""
+    """The field ``column`` of a part, with Bokeh's names of line styles and marks."""
     names: dict[str, dict[str, str]] = {"line": DASHES, "mark": MARKS}
-    own = getattr(part, column)
-    return names[column][own] if column in names else own
+    value = getattr(part, column)
+    return names[column][value] if column in names else value
 
 
 class LoopPlots:
-    """Bode, Nyquist, poles and step of a design, with a pinned design to compare with, and the requirements shaded."""
+    """Bode and Nyquist plots, poles and step response of a design and of a pinned one, with the requirements shaded."""
 
     def __init__(self) -> None:
         self.magnitude = LivePlot("Bode: magnitude", (-70.0, 60.0), (-60, -30, 0, 30, 60), x_axis_type="log")
@@ -343,7 +342,7 @@ class LoopPlots:
         self.pinned: dict[str, tuple[Curve, ...]] = {}
 
     def update(self, design: VelocityLoopDesign, state: State) -> None:
-        """Show ``design``, its loop broken at the place of ``state``, and what the requirements of that forbid."""
+        """Show ``design``, with the loop broken at the place of ``state`` and its requirements as forbidden areas."""
         from emps_design.control.verdict import step_responses
 
         loop = broken_loops(design, 250)[0 if state.place == "velocity error" else 1]
@@ -367,11 +366,11 @@ class LoopPlots:
             getattr(self, name).show(replace(axes, parts=(*behind, *axes.parts, *self.pinned.get(name, ()))))
 
     def pin(self) -> None:
-        """Keep the design that is shown in grey, to compare with the next one."""
+        """Pin the present design: further designs show it in grey."""
         self.pinned = {name: _greyed(axes) for name, axes in self.shown.items()}
 
     def unpin(self) -> None:
-        """Remove the pinned design from the next one that is shown."""
+        """Remove the pinned design, from the next update on."""
         self.pinned = {}
 
 
@@ -384,7 +383,7 @@ def _greyed(axes: Axes) -> tuple[Curve, ...]:
 
 
 class PlanePlot:
-    """The plane of specifications: where (7) has gains, where the sampled loop is stable, where it meets the margin."""
+    """The plane of specifications: positive gains by (7), stability of the sampled loop, required phase margin."""
 
     COLORS = ("#9CA3AF", "#DE7B3C", "#F6DA92", "#BFE3D5")  # of KINDS
     PHASES = (0.0, 90.0)
@@ -392,8 +391,8 @@ class PlanePlot:
     def __init__(self) -> None:
         self.cells = _source("kind", "x", "width")
         self.marks = {key: _source("x", "y") for key in ("here", "pinned")}
-        self.plot = blank("What can be specified", "", "phase margin [deg]", x_axis_type="log")
-        # As a dict: bokeh's annotations of image leave the mapper out.
+        self.plot = blank("Feasible specifications", "", "phase margin [deg]", x_axis_type="log")
+        # As a dict, since bokeh's type annotations of image lack the mapper.
         colors: dict[str, Any] = {"color_mapper": LinearColorMapper(palette=list(self.COLORS), low=-0.5, high=3.5)}
         self.plot.image(
             "kind",
@@ -408,7 +407,7 @@ class PlanePlot:
         _points(self.plot, pinned, "x", "y", marker="diamond", size=14, fill_color=GREY, line_color=BLACK)
         _points(self.plot, here, "x", "y", size=13, fill_color="white", line_color=BLACK, line_width=3)
         self.plot.grid.visible = False
-        # Boxes outside the ranges: the legend names every class, whatever the plane shows.
+        # Boxes outside the visible range, so that the legend always has every kind.
         outside = _source(x=[1.0], y=[-9.0])
         boxes: list[GlyphRenderer] = [
             self.plot.add_glyph(outside, Rect(x="x", y="y", width=0.1, height=0.1, fill_color=color, line_color=None))
@@ -428,7 +427,7 @@ class PlanePlot:
         self.plot.x_range.update(start=low, end=high)
 
     def show(self, specification: str, design: VelocityLoopDesign, pinned: VelocityLoopDesign | None) -> None:
-        """Mark ``design`` and the pinned one at their crossover or bandwidth, as ``specification`` says."""
+        """Mark ``design`` and the pinned one at their crossover or bandwidth, according to ``specification``."""
         names = {"crossover": "crossover", "bandwidth": "closed-loop −3 dB bandwidth"}
         self.plot.xaxis.axis_label = f"{names[specification]} [rad/s]"
         for key, marked in (("here", design), ("pinned", pinned)):

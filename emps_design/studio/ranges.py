@@ -1,8 +1,8 @@
-"""The numbers of the controls: label, range, step and first value, scaled to the axis.
+"""The numbers of the controls: label, range, step and default, scaled to the axis.
 
 :data:`CHOICES` is for the embedded emps2018. For another axis masses scale with its load, forces with its friction or
-motor, and frequencies with its sampling and current loop. The specification of a new session is one whose design meets
-the first requirements.
+motor, and frequencies with its sampling and current loop. A new session starts with a specification whose design meets
+the default requirements.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from emps_design.units import TURN
 if TYPE_CHECKING:
     from emps_design.control.velocity.design import VelocityLoopDesign
 
-ANY_AXIS = 1e9  # how far the ranges of two axes may lie apart
+ANY_AXIS = 1e9  # largest ratio between the ranges of two axes
 
-# Shares of the first frequency: slower ones first; faster ones for a position loop that the axis has around it.
+# Factors on the default frequency, slower ones first; the faster ones are for an axis with a position loop.
 SHARES = (1.0, 0.5, 0.2, 0.1, 0.05, 2.0, 5.0)
 PHASES = (60.0, 70.0, 80.0)  # deg
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A number that a control sets: its label with the unit, its range, the step of the control, and its first value.
+    """A number of a control: label with unit, range, step of the control, and default value ``first``.
 
-    ``size`` is the key of :func:`sizes` that the number scales with, "" if it is the same on every axis. A
-    ``frequency`` is in rad/s, and may be given as text with its unit, such as 30Hz.
+    ``size`` is the key of :func:`sizes` with which the number scales, "" if it is the same on every axis. A
+    ``frequency`` is in rad/s; it may also be text with a unit, such as 30Hz.
     """
 
     label: str
@@ -46,11 +46,11 @@ class Choice:
 
     @property
     def frequency(self) -> bool:
-        """Whether it is in rad/s."""
+        """Whether the unit is rad/s."""
         return self.label.endswith("[rad/s]")
 
     def holds(self, value: float) -> bool:
-        """Whether ``value`` is in the range."""
+        """Whether ``value`` is within the range."""
         return self.lower <= value <= self.upper
 
     def with_value(self, value: float) -> Choice:
@@ -105,17 +105,17 @@ def choices_of(axis: Axis) -> dict[str, Choice]:
     """
     size_of = sizes(axis)
     sized = {name: _sized(choice, size_of[choice.size]) if choice.size else choice for name, choice in CHOICES.items()}
-    return sized | {name: sized[name].with_value(value) for name, value in _own(axis).items()}
+    return sized | {name: sized[name].with_value(value) for name, value in _axis_values(axis).items()}
 
 
-def _own(axis: Axis) -> dict[str, float]:
-    """Return the controls' numbers that ``axis`` itself has, which extend the ranges."""
+def _axis_values(axis: Axis) -> dict[str, float]:
+    """Return the numbers of the controls that ``axis`` defines; they extend the ranges."""
     kp = position_gain(axis)
     return {"computation_delay": axis.sampling.computation_delay, **({} if kp is None else {"position_kp": kp})}
 
 
 def position_gain(axis: Axis) -> float | None:
-    """Return the position gain kp [1/s] of the controller of ``axis``; None without one, or if a record has it."""
+    """Return the position gain kp [1/s] of the controller of ``axis``; None if it has none or a record has it."""
     kp = (axis.controller.position or {}).get("kp")
     return kp if isinstance(kp, int | float) else None
 
@@ -123,10 +123,10 @@ def position_gain(axis: Axis) -> float | None:
 def sizes(axis: Axis) -> dict[str, float]:
     """Return the scale of each kind of number on ``axis`` relative to emps2018: 1, 2 or 5 times a power of ten.
 
-    Motions are at most as fast as on emps2018, and slower if the loop is slow, the motor weak or friction large.
+    Motions are at most as fast as on emps2018; they are slower for a slow loop, a weak motor or large friction.
     """
-    own, ordinary = _quantities(axis), _ordinary()
-    ratio = {name: own[name] / ordinary[name] for name in own if own[name] and ordinary[name]}
+    here, reference = _quantities(axis), _reference_quantities()
+    ratio = {name: here[name] / reference[name] for name in here if here[name] and reference[name]}
     length = TURN if axis.units.rotary else 1.0
     mass, force = ratio["mass"], max(ratio.get("coulomb", 0.0), ratio.get("motor", 0.0)) or ratio["mass"]
     pace = min(1.0, ratio["frequency"])
@@ -149,7 +149,7 @@ def sizes(axis: Axis) -> dict[str, float]:
 
 
 def _quantities(axis: Axis) -> dict[str, float]:
-    """Return the quantities that the scales are made of, in SI units; 0 if the axis does not have one."""
+    """Return the quantities that determine the scales [SI]; 0 if the axis does not have one."""
     mechanics, drive = axis.mechanics, axis.drive
     limited = drive.command_limit < NO_LIMIT
     motor = drive.force_gain * (drive.supply or 1.0) * drive.command_limit if limited else 0.0
@@ -165,7 +165,7 @@ def _quantities(axis: Axis) -> dict[str, float]:
 
 
 @lru_cache(maxsize=1)
-def _ordinary() -> dict[str, float]:
+def _reference_quantities() -> dict[str, float]:
     return _quantities(machine("emps2018"))
 
 
@@ -177,7 +177,7 @@ def _sized(choice: Choice, size: float) -> Choice:
 
 
 def _decade(milliseconds: float) -> float:
-    """Return the power of ten nearest to 1 that scales the range 0.1 to 5 ms to one with ``milliseconds`` in it.
+    """Return the power of ten nearest to 1 that scales the range 0.1 to 5 ms so that it contains ``milliseconds``.
 
     >>> _decade(0.25), _decade(10.0), _decade(0.05)
     (1.0, 10.0, 0.1)
@@ -189,10 +189,7 @@ def _decade(milliseconds: float) -> float:
 
 @dataclass(frozen=True)
 class Requirements:
-    """Phase margin [deg] and overshoot [%] of a stable design, and whether they meet the requirements.
-
-    A phase margin of None is unbounded.
-    """
+    """Phase margin [deg] (None: unbounded) and overshoot [%] of a stable design, and whether they are met."""
 
     phase_margin_deg: float | None
     overshoot_percent: float
@@ -220,9 +217,9 @@ def requirements(
 
 
 def first_specification(axis: Axis) -> dict[str, float]:
-    """Return the first specification tried on ``axis`` whose design meets the first requirements, {} if none does.
+    """Return a specification for ``axis`` whose design meets the default requirements, {} if none was found.
 
-    If the force loop is unstable with the first k_e1, it has half of the largest stable one as well.
+    If the force loop is unstable with the default k_e1, it also has half of the largest stable k_e1.
     """
     return _first(axis.to_toml())
 
@@ -240,7 +237,7 @@ def _first(table: str) -> dict[str, float]:
 
 
 def _acceptable(axis: Axis, specification: dict[str, float], first: dict[str, float]) -> VelocityLoopDesign | None:
-    """Return the design of ``specification`` if it meets the requirements and its worst loop is safe, else None."""
+    """Return the design for ``specification`` if it meets the requirements and its worst loop is safe, else None."""
     from emps_design.control.sampled import safety
     from emps_design.control.velocity.design import design_velocity_loop
     from emps_design.control.verdict import DesignVerdict
@@ -248,7 +245,7 @@ def _acceptable(axis: Axis, specification: dict[str, float], first: dict[str, fl
     try:
         phase = specification["phase_margin_deg"]
         design = design_velocity_loop(axis, specification["frequency"], phase_margin_deg=phase)
-    except EmpsError:  # no gains are positive
+    except EmpsError:  # there are no positive gains
         return None
     achieved = requirements(design, first["required_phase_deg"], first["required_overshoot_percent"])
     met = achieved and achieved.met and not design.refused and safety(DesignVerdict(design).worst.margins) >= 1.0

@@ -1,6 +1,6 @@
-"""The simulation tab: an operator guides the carriage with the impedance law, with estimates that are a little wrong.
+"""The simulation tab: an operator guides the carriage under the impedance law, with errors in the estimates.
 
-It simulates the task with exact and with the worst estimates, every plant of the mismatch, and a push into the wall.
+It simulates the task with exact and with the worst estimates, every plant of the mismatch, and a push into a wall.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ WIDTHS = {
 PICTURES = ("task", "wall", "plants")
 INTRODUCTION = """
 <h3>What is simulated</h3>
-<p>The impedance law of the design tab (M_a, B, filter, sampling, current loop) on its axis, with friction that sticks:
-once with exact estimates, once with the worst estimates within the mismatch; then every corner of the mismatch and as
-many random plants as asked for; then a push into the wall.</p>
+<p>The impedance law of the design tab (M_a, B, filter, sampling, current loop) on its axis, with stick-slip friction:
+first with exact estimates, then with the worst estimates within the mismatch; then all corners of the mismatch and the
+chosen number of random plants; finally a push into the wall.</p>
 <p>Fig. 12 of the paper is the task <i>Pushes to and fro</i>.</p>
 """
 
@@ -63,7 +63,7 @@ class Simulated(Viewed):
     wall_poles_stable: bool
 
     def verdict(self) -> tuple[str, str]:
-        """Return the level of the verdict, one of the keys of a message, and its sentence."""
+        """Return the level of the verdict, such as "bad", and its sentence."""
         state, worst, units = self.state, self.worst["verdict"], self.state.axis.units
         mass, damping = units.quantity(state.mass, "kg", "g"), units.quantity(state.damping, "N/(m/s)", "g")
         text = (
@@ -73,7 +73,7 @@ class Simulated(Viewed):
         if self.wall.verdict not in ("bouncing", "unstable") and self.wall_poles_stable:
             creeps = "warning" if worst in ("creeping", "no_motion") else "bad"
             return ("good" if worst in ("stable", "dead_band") else creeps), text
-        poles = "" if self.wall_poles_stable else ", where the poles of the loop are unstable"
+        poles = "" if self.wall_poles_stable else "; the poles of the loop are unstable there"
         return "bad", f"{text} Pushed into the wall of {self._stiffness} it is {self.wall.verdict}{poles}."
 
     @property
@@ -83,7 +83,7 @@ class Simulated(Viewed):
 
     @property
     def _worst_in_words(self) -> str:
-        """The verdict on the worst plant, and how far its curve shows it."""
+        """The verdict on the worst plant, and what its curve shows of it."""
         run, verdict = self.runs[WORST], self.worst["verdict"]
         if run.verdict != verdict:
             length = quantity(len(run.t) * self.state.axis.sampling.period, "s", 3)
@@ -95,11 +95,11 @@ class Simulated(Viewed):
         moving = np.flatnonzero(run.v)
         last = int(moving[-1]) if moving.size else 0
         since = quantity(float(run.t[last]), "s", 3)
-        still = "" if last == run.v.size - 1 else f"; the curve drawn stands from {since} on"
+        still = "" if last == run.v.size - 1 else f"; the drawn curve is at rest from {since} on"
         return f"in a limit cycle, with velocities from {low} to {high} long after the release{still}"
 
     def view(self) -> View:
-        """The verdicts, and what the hand feels on the worst plant."""
+        """The verdicts, and the apparent impedance of the worst plant."""
         state, worst, wall, units = self.state, self.worst, self.wall, self.state.axis.units
         exact = self.runs[EXACT].verdict
         share, low, high = self.study.stable_share
@@ -112,12 +112,12 @@ class Simulated(Viewed):
             quantity(worst[name], base, units=units)
             for name, base in (("apparent_mass", "kg"), ("apparent_damping", "N/(m/s)"))
         )
-        among = f" (95 %: {100 * low:.3g} to {100 * high:.3g} %)" if state.plants else ", of the corners"
+        among = f" (95 %: {100 * low:.3g} to {100 * high:.3g} %)" if state.plants else " of the corners"
         rows = [
             ("verdict, exact estimates", exact.replace("_", " ")),
             (f"verdict, worst within ±{state.mismatch_percent:g} %", worst["verdict"].replace("_", " ")),
-            ("estimates of the worst", off),
-            ("come to rest when let go", f"{100 * share:.4g} %{among}"),
+            ("errors of the worst estimates", off),
+            ("come to rest after the release", f"{100 * share:.4g} %{among}"),
             (f"worst: apparent {units.word('mass')}, damping", felt),
             (f"worst: peak {units.word('voltage')}", quantity(worst["peak_voltage"], "V", units=units)),
             (
@@ -133,7 +133,7 @@ class Simulated(Viewed):
         return (Table(("", ""), [(name, bold(value)) for name, value in rows]),)
 
     def figures(self) -> dict[str, Figure]:
-        """Return the pictures as matplotlib figures by name."""
+        """Return the figures by name."""
         from emps_design.report.impedance import mismatch_figure, task_figure, wall_figure
 
         return {
@@ -143,17 +143,18 @@ class Simulated(Viewed):
         }
 
     def captions(self) -> dict[str, str]:
-        """Return the caption of each picture by name."""
+        """Return the caption of each figure by name."""
         state, task, units = self.state, self.study.task, self.state.axis.units
         return {
-            "task": f"The hand lets go after {quantity(task.release * task.period, 's', 3)}: "
-            f"the {units.word('carriage')} must then come to rest, not creep on or swing. {WORST.capitalize()}: "
+            "task": f"The hand releases the {units.word('carriage')} after "
+            f"{quantity(task.release * task.period, 's', 3)}; then it must come to rest, without creep or oscillation. "
+            f"{WORST.capitalize()}: "
             f"{self.runs[WORST].verdict.replace('_', ' ')}.",
             "wall": f"A push of {units.quantity(state.push, 'N', 'g')} into a wall of {self._stiffness}, "
             f"exact estimates: {self.wall.verdict}. "
-            "The position must come to rest at the wall, not bounce off it for ever.",
-            "plants": f"What estimates up to {state.mismatch_percent:g} % wrong do: "
-            f"apparent {units.word('mass')} and damping, coloured by verdict, and how many plants get which.",
+            "The position must come to rest at the wall and not keep bouncing.",
+            "plants": f"Estimates with errors of up to {state.mismatch_percent:g} %: "
+            f"apparent {units.word('mass')} and damping, coloured by verdict, and the number of plants per verdict.",
         }
 
 
@@ -166,7 +167,7 @@ def simulate(state: State, progress: Progress | None = None) -> Simulated:
     from emps_design.control.impedance.law import FrictionModel, impedance_law
     from emps_design.control.impedance.passivity import Clock, Environment, sampled_loop
 
-    tell = progress or no_progress
+    report = progress or no_progress
     axis, mismatch, stiffness = state.axis, state.mismatch_percent / 100.0, state.wall * 1e3
     law = impedance_law(axis, state.mass, state.damping, state.filter)
     if state.task == "guided":
@@ -180,22 +181,22 @@ def simulate(state: State, progress: Progress | None = None) -> Simulated:
         state.plants,
         state.seed,
         task=task,
-        progress=of_part(tell, 0.0, 0.8),
+        progress=of_part(report, 0.0, 0.8),
     )
-    tell("the worst plant", 0.8)
+    report("the worst plant", 0.8)
     worst = study.plant(study.worst)
     runs = {EXACT: run_task(axis, law, task), WORST: run_worst(axis, study)}
-    tell("the wall", 0.9)
+    report("the wall", 0.9)
     wall = push_into_wall(axis, law, stiffness, state.push)
     poles = sampled_loop(
         law, FrictionModel.of(axis), Clock.of(axis), environment=Environment(stiffness=stiffness)
     ).stable
-    tell("drawing", 0.95)
+    report("drawing", 0.95)
     return Simulated(state, runs, study, worst, wall, poles)
 
 
 class SimulationView:
-    """Choose task, wall and mismatch and simulate them; shows force, velocity, position and the verdict."""
+    """Choice and simulation of task, wall and mismatch, with force, velocity, position and the verdict."""
 
     def __init__(self, state: Callable[[], State], turn: Callable[[str, Any], None]):
         self._state, now = state, state()
@@ -203,7 +204,7 @@ class SimulationView:
         self.task.param.watch(lambda event: turn("task", event.new), "value")
         self.fields = {name: Field(name, getattr(now, name), turn, width) for name, width in WIDTHS.items()}
         self.run = pn.widgets.Button(label="Simulate", color="primary", width=100, margin=(22, 6, 2, 6))
-        self.run.on_click(lambda event: after_this_event(self._start))  # a number typed just before comes first
+        self.run.on_click(lambda event: after_this_event(self._start))  # a number entered just before counts
         self._of: State | None = None  # the state of the result that is shown or computed
         self.job = Job()
         self.message, self.table = html(), html(INTRODUCTION)
@@ -232,7 +233,7 @@ class SimulationView:
             self._withdraw()
 
     def _withdraw(self) -> None:
-        """Remove the result: it was of other numbers."""
+        """Remove an outdated result."""
         self.job.stop()
         self._of = None
         self.message.object, self.table.object = "", INTRODUCTION

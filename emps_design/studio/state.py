@@ -39,8 +39,9 @@ WORDS = {
 class State:
     """The numbers and words of the controls of all tabs, and the pinned design.
 
-    ``axis`` has the sampling and the current loop of the controls; structure and ``filters`` of the velocity loop are
-    those of its controller until others are chosen. :data:`~.ranges.CHOICES` has the labels and units of the numbers.
+    ``axis`` has the sampling and the current loop of the controls. Structure and ``filters`` of the velocity loop are
+    those of its controller until the user changes them. :data:`~.ranges.CHOICES` has the labels and units of the
+    numbers.
 
     >>> from emps_design.machines import machine
     >>> state = State.of(machine("emps2018"))
@@ -85,21 +86,21 @@ class State:
 
     @classmethod
     def of(cls, axis: Axis) -> State:
-        """Return the start values on ``axis``, with a specification that meets the requirements."""
+        """Return the default values on ``axis``, with a specification that meets the requirements."""
         specification: dict[str, Any] = first_specification(axis)
-        return replace(cls.plain(axis), **specification)
+        return replace(cls.defaults(axis), **specification)
 
     @classmethod
-    def plain(cls, axis: Axis) -> State:
-        """Return the first value of every control on ``axis``, whether or not the design meets the requirements."""
+    def defaults(cls, axis: Axis) -> State:
+        """Return the default of every control on ``axis``, whether or not the design meets the requirements."""
         first: dict[str, Any] = {name: choice.first for name, choice in choices_of(axis).items()}
         return cls(axis=axis, **{**first, **_clock(axis), **_law(axis)})
 
     def with_axis(self, axis: Axis) -> State:
         """Return the same specification on another ``axis``.
 
-        Sampling and current loop are those of ``axis``. So are structure, filters and position gain, each unless the
-        user has changed it on the axis before. A number that has another unit on ``axis`` gets its first value.
+        Sampling and current loop are those of ``axis``, and so are structure, filters and position gain unless the user
+        has changed them. A number that has another unit on ``axis`` gets its default value.
 
         >>> from emps_design.machines import machine
         >>> light = machine("emps2018").replace(mechanics={"mass": 1.2})
@@ -107,13 +108,13 @@ class State:
         >>> moved.mass, moved.damping, moved.frequency
         (50.0, 100.0, 100.0)
         """
-        plain, before, now = State.plain(axis), _law(self.axis), _law(axis)
+        defaults, before, now = State.defaults(axis), _law(self.axis), _law(axis)
         unchanged = {name for name in now if getattr(self, name) == before[name]}
         if position_gain(axis) is None and position_gain(self.axis) is None:
             unchanged.discard("position_kp")  # neither axis has one
         other_units = {name for name, choice in CHOICES.items() if _unit(choice, axis) != _unit(choice, self.axis)}
-        taken: dict[str, Any] = {name: getattr(plain, name) for name in (*_clock(axis), *unchanged, *other_units)}
-        return replace(self, axis=axis, **taken)
+        replaced: dict[str, Any] = {name: getattr(defaults, name) for name in (*_clock(axis), *unchanged, *other_units)}
+        return replace(self, axis=axis, **replaced)
 
     @property
     def choices(self) -> dict[str, Choice]:
@@ -155,7 +156,7 @@ class State:
 
     @classmethod
     def from_toml(cls, text: str, source: str = "state") -> State:
-        """Read a state; :class:`InputError` in one line names what was found and expected."""
+        """Read a state from TOML; raises :class:`InputError` in one line with what was found and expected."""
         try:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -180,10 +181,9 @@ class State:
 
 
 def checked(name: str, value: Any, choices: Mapping[str, Choice] = CHOICES, source: str = "studio") -> Any:
-    """Return ``value`` as the state holds it, a frequency in rad/s.
+    """Return ``value`` checked and converted: a frequency to rad/s, tables of filters to filters.
 
-    Raises :class:`InputError` for a name the controls do not have, a word they do not offer, or a number outside a
-    control's range.
+    Raises :class:`InputError` for an unknown name, a word that is no option, or a number outside a control's range.
 
     >>> round(checked("frequency", "30Hz"), 3), checked("seed", 7), checked("place", "plant input")
     (188.496, 7, 'plant input')
@@ -209,7 +209,7 @@ def checked(name: str, value: Any, choices: Mapping[str, Choice] = CHOICES, sour
 
 
 def _filters(tables: Any, source: str) -> tuple[Filter, ...]:
-    """Return filters from tables like those of an axis file; a frequency may have its unit, else it is in Hz."""
+    """Return filters from tables as in an axis file; a frequency is in Hz unless it has a unit."""
     if not isinstance(tables, list | tuple) or len(tables) > MOST_FILTERS:
         raise InputError(f"{source}: filters: found {tables!r}, expected up to {MOST_FILTERS} tables")
     filters = []
@@ -228,11 +228,11 @@ def _filters(tables: Any, source: str) -> tuple[Filter, ...]:
     return tuple(filters)
 
 
-def taken_for(name: str, value: Any) -> str:
-    """Return a sentence with the rad/s of a frequency that was typed with its unit, "" for any other ``value``.
+def conversion_in_words(name: str, value: Any) -> str:
+    """Return a sentence with the rad/s of a frequency that was entered with a unit, "" for any other ``value``.
 
-    >>> taken_for("frequency", "30Hz"), taken_for("frequency", "188.5"), taken_for("mass", 50.0)
-    ('Frequency: 30Hz is 188.496 rad/s.', '', '')
+    >>> conversion_in_words("frequency", "30Hz"), conversion_in_words("frequency", "188.5")
+    ('Frequency: 30Hz is 188.496 rad/s.', '')
     """
     if not isinstance(value, str) or name not in CHOICES or value.strip()[-1:] in "0123456789.":
         return ""
@@ -240,27 +240,27 @@ def taken_for(name: str, value: Any) -> str:
 
 
 def differences_in_words(before: State, after: State) -> str:
-    """Return a sentence with the numbers of ``before`` that differ in ``after``, on another axis; "" if none does.
+    """Return a sentence with the numbers that differ between ``before`` and ``after``, on another axis; "" if none.
 
     >>> from emps_design.machines import machine
     >>> before = State.of(machine("emps2018"))
     >>> fast = machine("emps2018").replace(name="fast", sampling={"period": 5e-4})
     >>> differences_in_words(before, before.with_axis(fast))
-    'With fast came sampling period 0.5 ms.'
+    'Changed with fast: sampling period 0.5 ms.'
     """
-    changes, anew = [], ""
+    changes, reset = [], ""
     for name, choice in CHOICES.items():
         label, _, unit = after.axis.units.label(choice.label).rpartition(" [")
         if _unit(choice, after.axis) != _unit(choice, before.axis):
-            anew = "Numbers in other units start anew."
+            reset = "Numbers in other units were reset."
         elif getattr(before, name) != getattr(after, name):
             changes.append(f"{label[:1].lower()}{label[1:]} {getattr(after, name):g} {unit.rstrip(']')}")
     if before.structure != after.structure:
         changes.append(f"structure {after.structure}")
     if before.filters != after.filters:
         changes.append(f"{len(after.filters) or 'no'} filter{'s' * (len(after.filters) != 1)}")
-    came = f"With {after.axis.name} came {', '.join(changes)}." if changes else ""
-    return f"{came} {anew}".strip()
+    changed = f"Changed with {after.axis.name}: {', '.join(changes)}." if changes else ""
+    return f"{changed} {reset}".strip()
 
 
 def _unit(choice: Choice, axis: Axis) -> str:
@@ -269,7 +269,7 @@ def _unit(choice: Choice, axis: Axis) -> str:
 
 
 def _law(axis: Axis) -> dict[str, Any]:
-    """Return structure, filters and position gain of the controller of ``axis``, or the first gain if it has none."""
+    """Return structure, filters and position gain of the controller of ``axis``, by default the first gain."""
     kp = position_gain(axis)
     first = choices_of(axis)["position_kp"].first
     return {

@@ -49,7 +49,7 @@ def test_every_tab_fits_the_screen(page, picture, width, height):
 
 def test_a_frequency_out_of_reach_comes_back_and_the_page_says_why(page):
     type_into(page, "Frequency [rad/s]", "500")
-    page.get_by_text("The frequency asked for moved from 500 to 315 rad/s").wait_for()
+    page.get_by_text("The frequency was moved from 500 to 315 rad/s").wait_for()
     wait_for_value(page.get_by_label("Frequency [rad/s]", exact=True).first, "315")
     page.get_by_role("button", name="bandwidth").click()
     page.get_by_text("At bandwidth 315 rad/s").wait_for()
@@ -58,7 +58,7 @@ def test_a_frequency_out_of_reach_comes_back_and_the_page_says_why(page):
 def test_a_number_outside_the_control_goes_back_to_the_design_shown(page):
     before = sampled_margin(page)
     type_into(page, "Frequency [rad/s]", "2000")
-    page.get_by_role("alert").filter(has_text="the design stays as it was").first.wait_for()
+    page.get_by_role("alert").filter(has_text="the design is unchanged").first.wait_for()
     wait_for_value(page.get_by_label("Frequency [rad/s]", exact=True).first, "100")
     assert sampled_margin(page) == before
 
@@ -72,7 +72,7 @@ def test_a_frequency_is_typed_with_its_unit_wherever_one_is_asked_for(page):
         type_into(page, f"{label} [rad/s]", before)
         page.get_by_text(f"{label}: 30Hz is 188.496 rad/s.").wait_for(state="hidden")
         type_into(page, f"{label} [rad/s]", bad)
-        page.get_by_text(f"found '{bad}', expected a number of rad/s, or such as 30Hz").wait_for()
+        page.get_by_text(f"found '{bad}', expected a number in rad/s, or one such as 30Hz").wait_for()
         wait_for_value(field, before)
 
 
@@ -101,7 +101,7 @@ def test_what_cannot_be_reached_is_out_of_reach_and_says_why(page):
     type_into(page, "Computation delay [samples]", "3")
     page.get_by_text("outside 30.5° to 64° the sampled loop is unstable").wait_for()
     type_into(page, "Phase margin [deg]", "89")
-    page.get_by_text("The phase margin asked for moved from 89° to 64°").wait_for()
+    page.get_by_text("The phase margin was moved from 89° to 64°").wait_for()
     wait_for_value(page.get_by_label("Phase margin [deg]", exact=True).first, "64")
     assert sampled_margin(page).endswith("°")
 
@@ -156,7 +156,7 @@ def test_a_record_is_refused_observed_identified_and_its_model_designed_on(page,
     page.get_by_role("button", name="Identify").click()
     page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=BUSY)
     page.get_by_role("button", name="Design on this model").click()
-    page.get_by_text("The design tab now works on").wait_for()
+    page.get_by_text("The design tab now uses").wait_for()
     turn_to(page, "Design")
     assert "practice" in page.get_by_label("Axis", exact=True).input_value()
 
@@ -210,7 +210,7 @@ def test_structure_filters_and_a_motion_of_ones_own(page, tmp_path, picture):
     page.get_by_role("button", name="Add a notch").click()
     page.get_by_text("PI, 1 filter").wait_for()
     type_into(page, "Notch [Hz]", "90 V")
-    page.get_by_role("alert").filter(has_text="the design stays as it was").first.wait_for()
+    page.get_by_role("alert").filter(has_text="the design is unchanged").first.wait_for()
     wait_for_value(page.get_by_label("Notch [Hz]", exact=True), "127.324")
     type_into(page, "Notch [Hz]", "90Hz")
     page.wait_for_timeout(800)
@@ -222,11 +222,11 @@ def test_structure_filters_and_a_motion_of_ones_own(page, tmp_path, picture):
     page.locator("input[type=file]").locator("visible=true").last.set_input_files(str(tmp_path / "way.csv"))
     page.wait_for_timeout(600)
     page.get_by_role("button", name="Move", exact=True).click()
-    page.get_by_text(re.compile("way.csv, straight between its rows, kp 20 1/s")).wait_for(timeout=BUSY)
+    page.get_by_text(re.compile("way.csv, interpolated linearly, kp 20 1/s")).wait_for(timeout=BUSY)
     page.wait_for_timeout(500)
     page.screenshot(path=picture("studio-motion"), full_page=True)
     type_into(page, "Position gain kp [1/s]", "10")
-    page.get_by_text("straight between its rows, kp 20").wait_for(state="hidden")
+    page.get_by_text("interpolated linearly, kp 20").wait_for(state="hidden")
 
 
 def test_files_are_handed_out_and_a_state_comes_back(page, tmp_path, picture):
@@ -234,7 +234,7 @@ def test_files_are_handed_out_and_a_state_comes_back(page, tmp_path, picture):
     page.get_by_role("button", name="Pin this design to compare").click()
     page.get_by_text("pinned", exact=True).first.wait_for()
     turn_to(page, "Files")
-    page.get_by_text("Save what the design tab shows").wait_for()
+    page.get_by_text("Save the present design").wait_for()
     page.screenshot(path=picture("studio-files"))
     kept = {}
     for label in ("State (TOML)", "Gains (JSON)", "Model (TOML)", "Figures (SVG)", "Figures (PNG)", "Report (HTML)"):
@@ -290,7 +290,7 @@ def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, pict
     page.get_by_text(re.compile("rippled: [0-9]+ samples")).wait_for(timeout=BUSY)
     page.get_by_role("button", name="Diagnose").click()
     cancel = page.get_by_role("button", name="Cancel work").locator("visible=true").first
-    page.get_by_text("Diagnose is at work").wait_for()
+    page.get_by_text("Diagnose is running").wait_for()
     cancel.click()
     page.get_by_text("Cancelled; nothing was changed.").wait_for(timeout=BUSY)
     page.get_by_role("button", name="Diagnose").click()
@@ -308,7 +308,7 @@ def test_a_record_is_diagnosed_and_the_work_can_be_cancelled(page, rippled, pict
 def test_the_folder_for_the_drive_is_handed_out(page, picture):
     page.get_by_label("Axis", exact=True).first.select_option("emps2019")
     turn_to(page, "Compensation")
-    page.get_by_role("button", name="Try them").click()
+    page.get_by_role("button", name="Test them").click()
     page.get_by_text("tracking error, rms").wait_for(timeout=120_000)
     page.wait_for_timeout(500)
     page.screenshot(path=picture("studio-compensation-tried"))

@@ -29,7 +29,7 @@ def fast(tmp_path_factory):
 def test_an_axis_file_and_two_records_are_opened_and_the_model_leaves_the_specification(page, fast, picture):
     type_into(page, "Filter of the law [rad/s]", "400")
     open_axis(page, fast / "fast.toml")
-    page.get_by_text("With fast came sampling period 0.5 ms").wait_for()
+    page.get_by_text("Changed with fast: sampling period 0.5 ms").wait_for()
     page.screenshot(path=picture("studio-axis-file"))
     turn_to(page, "Data")
     wait_for_value(page.get_by_label("Axis of the record", exact=True), "fast")
@@ -83,7 +83,7 @@ def test_a_design_that_follows_less_closely_than_the_controller_in_place_is_not_
 def test_the_folder_for_the_drive_holds_the_design(page, picture):
     page.get_by_label("Axis", exact=True).first.select_option("emps2019")
     turn_to(page, "Compensation")
-    page.get_by_role("button", name="Try them").click()
+    page.get_by_role("button", name="Test them").click()
     page.get_by_text("controller: the design's, ip velocity").wait_for()
     page.screenshot(path=picture("studio-compensation-of-the-design"))
     with page.expect_download() as download:
@@ -102,10 +102,10 @@ def test_every_tab_answers_while_the_report_is_made(page, picture):
     turn_to(page, "Files")
     with page.expect_download():
         page.get_by_text("Gains (JSON)", exact=True).click()
-    page.get_by_text("gains.json is handed to").wait_for()
+    page.get_by_text("gains.json is in the browser").wait_for()
     page.get_by_text("Report (HTML)", exact=True).click()
-    page.get_by_text("report.html is at work").wait_for()
-    assert page.get_by_text("is handed to").count() == 0
+    page.get_by_text("report.html is being made").wait_for()
+    assert page.get_by_text("is in the browser").count() == 0
     cancel = page.get_by_role("button", name="Cancel work").locator("visible=true")
     cancel.wait_for()
     page.screenshot(path=picture("studio-report-at-work"))

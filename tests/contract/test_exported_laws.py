@@ -314,15 +314,20 @@ def test_what_a_back_emf_brakes_is_in_the_exported_observer():
     [
         (
             {"kind": "actuator_lag", "time_constant": 1e-3},
-            "actuator_lag, it has a state of its own, which position and",
+            "actuator_lag, it has a state that does not follow from",
         ),
         ({"kind": "actuator_deadzone", "width": 0.1}, "actuator_deadzone, it acts in the actuator, not as a force of"),
-        ({"kind": "friction_drift", "change": 0.3, "time_constant": 9.0}, "friction_drift, it goes by the time of one"),
+        (
+            {"kind": "friction_drift", "change": 0.3, "time_constant": 9.0},
+            "friction_drift, it depends on the time within",
+        ),
     ],
 )
 def test_an_effect_that_cannot_be_observed_on_line_is_refused(effect, reason):
     axis = machine("emps2018").replace(effects=[EFFECTS_HERE[0], effect])
-    with pytest.raises(InputError, match=rf"observer of emps2018: found {reason}.*; take such effects out of the axis"):
+    with pytest.raises(
+        InputError, match=rf"observer of emps2018: found {reason}.*; remove these effects from the axis"
+    ):
         export_observer(axis, "c", 20.0)
 
 
@@ -331,7 +336,7 @@ def test_an_observer_that_cannot_be_exported_is_refused(tmp_path, capsys):
     assert app.run([*line, "fmu"]) == 2
     assert "--to: found 'fmu' for an observer, expected one of c, st, json" in capsys.readouterr().err
     assert app.run([*line, "c", "--compensation", "x.json"]) == 2
-    assert "--compensation: goes without --observer" in capsys.readouterr().err
+    assert "--compensation: cannot be combined with --observer" in capsys.readouterr().err
     assert app.run([*line, "json"]) == 0
     for cutoff in ("nan", "0", "500"):
         assert app.run(["export", "emps2018", "--observer", cutoff, "--out", str(tmp_path / "x"), "--to", "c"]) == 2
@@ -344,9 +349,9 @@ def test_a_compensation_of_another_axis_is_refused():
     for other, document, message in (
         (axis.replace(name="other"), found, "run compensate on this axis"),
         (axis, {**found, "kept": ["position_ripple"]}, "expected those of emps2019"),
-        (axis, {}, "expected what compensate writes"),
+        (axis, {}, "expected the document that compensate writes"),
         (axis, {**found, "law_taken_off": False}, "run compensate on this axis again"),
-        (axis.replace(controller={"kp": 100.0}), found, "with other numbers or another controller"),
+        (axis.replace(controller={"kp": 100.0}), found, "with other parameters or another controller"),
     ):
         with pytest.raises(InputError, match=message):
             export_controller(other, "c", document)
@@ -355,10 +360,10 @@ def test_a_compensation_of_another_axis_is_refused():
 @pytest.mark.parametrize("reversal", [np.nan, np.inf, -1.0, 1e-300, True])
 def test_a_compensation_with_an_impossible_speed_is_refused(reversal):
     axis, found = compensation("rigid")
-    with pytest.raises(InputError, match=r"found a reversal of .*, expected a speed that compensate writes"):
+    with pytest.raises(InputError, match=r"found a reversal of .*, expected the speed that compensate writes"):
         export_controller(axis, "json", {**found.to_dict(), "reversal": reversal})
     unmarked = {key: value for key, value in found.to_dict().items() if key != "axis_sha256"}
-    with pytest.raises(InputError, match="with other numbers or another controller"):
+    with pytest.raises(InputError, match="with other parameters or another controller"):
         export_controller(axis, "json", unmarked)
 
 
@@ -383,7 +388,7 @@ def test_a_compensation_that_keeps_nothing_is_said_to():
     axis, found = compensation("rigid")
     exported = export_controller(axis, "json", {**found.to_dict(), "kept": []})
     assert exported.block.ahead is None
-    assert exported.to_dict()["warnings"] == ["the compensation keeps no term: the law alone was written"]
+    assert exported.to_dict()["warnings"] == ["the compensation has no useful term: only the law was exported"]
     assert export_controller(axis, "json").to_dict()["warnings"] == []
 
 
@@ -393,7 +398,7 @@ def test_code_of_an_unstable_loop_is_not_written(tmp_path, capsys):
     path.write_text(machine("emps2019").replace(controller=table).to_toml())
     for target in ("c", "st", "fmu", "json"):
         assert app.run(["export", str(path), "--to", target, "--out", str(out)]) == 4
-        assert "its velocity loop is unstable: no code for a drive is written" in capsys.readouterr().err
+        assert "the velocity loop is unstable; no code was exported" in capsys.readouterr().err
         assert not out.exists()
 
 

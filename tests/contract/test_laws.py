@@ -276,7 +276,7 @@ def test_the_environment_names_files(own_file, tmp_path):
     [
         ("1 / 0", "ZeroDivisionError: division by zero"),
         ("LAW = 3", "found LAW = 3, expected an emps_design.laws.LawKind"),
-        (OWN.replace('"hardening"', '"impedance"'), "law impedance: the package has one of that name, choose another"),
+        (OWN.replace('"hardening"', '"impedance"'), "law impedance: the package already has that name; choose another"),
         (
             OWN.replace("memory=1,", 'memory=1, follows="force",'),
             "follows 'force', expected one of position, velocity, rest",

@@ -84,7 +84,7 @@ def test_devices_pipes_and_sockets_are_refused(capsys, folder, name):
 @pytest.mark.parametrize("name", TO_A_FILE)
 def test_an_input_is_never_written_over(capsys, folder, name, given):
     reads = "{record}" in WRITES[name] if given == "record.npz" else "{axis}" in WRITES[name]
-    why = "is what this command reads" if reads else "holds an axis file|takes that one|holds a NumPy archive"
+    why = "is an input of this command" if reads else "holds an axis file|has that name|holds a NumPy archive"
     refused(capsys, folder, name, folder / given, f"{why}|ends in")
     (folder / "link").symlink_to(folder / given)
     refused(capsys, folder, name, folder / "link", f"{why}|ends in|holds")
@@ -96,7 +96,7 @@ def test_an_input_in_the_folder_of_results_is_kept(capsys, folder):
     (folder / "axis.toml").rename(folder / "model.toml")
     before = content(folder)
     assert app.run(["diagnose", f"{folder}/record.npz", "--axis", f"{folder}/model.toml", "--out", str(folder)]) == 2
-    assert "model.toml is what this command reads" in capsys.readouterr().err
+    assert "model.toml is an input of this command" in capsys.readouterr().err
     assert content(folder) == before
 
 
@@ -112,7 +112,7 @@ def test_another_kind_of_content_needs_force(capsys, folder, name):
 
 
 def test_the_demo_turns_no_record_into_a_page(capsys, folder):
-    refused(capsys, folder, "demo", folder / "new.npz", "found 'new.npz', expected a name for a page")
+    refused(capsys, folder, "demo", folder / "new.npz", "found 'new.npz', expected the name of a page")
     refused(capsys, folder, "demo", ".", "is a folder, expected the name of a file")
     (folder / "out.npz").write_text("mine")
     refused(capsys, folder, "demo", folder / "out.html", "out.npz holds something else")

@@ -43,7 +43,7 @@ def test_designs_and_their_margins():
     assert '<th>delay margin</th><td class="number">3.8' in design.sampled.margins._repr_html_()
     assert "unbounded" in design.plant_input._repr_html_()
     force = ed.design_force_loop(design, 0.005)
-    assert "sampled force loop, around a velocity loop that runs without contact too, is stable" in force._repr_html_()
+    assert "sampled force loop, with its velocity loop in contact and without, is stable" in force._repr_html_()
     assert "Largest k_e1" in str(force)
     law = assess_impedance(AXIS, 50.0, 100.0, 0.02, plants=0)
     assert law._repr_html_().startswith('<p class="warning">CREEPING: the released carriage creeps on')

@@ -22,7 +22,7 @@ static const real GAINS[{{ gains | length }}] = {
 
 {% for definition in definitions %}{{ definition }}
 
-{% endfor %}{% if ahead %}/* What the reference's motion needs, by the model [{{ command_unit }}]. */
+{% endfor %}{% if ahead %}/* Command for the motion of the reference, by the model [{{ command_unit }}]. */
 static real {{ name }}_feedforward(real q, real v, real a)
 {
     real direction = {% if ahead.reversal %}v / R({{ ahead.reversal }}){% else %}R(0.0){% endif %};
@@ -58,7 +58,7 @@ static real {{ name }}_feedforward(real q, real v, real a)
 real {{ name }}_step({{ name }}_state *state, real reference, real q, real f_ext{% if ahead %}, real ahead_q, real ahead_v, real ahead_a{% endif %})
 {
 {% if ahead %}{% if waits is not none %}    real integral = state->memory[{{ waits }}];
-{% endif %}    /* The law is given the error alone. */
+{% endif %}    /* The law acts on the position error only. */
     real u = {{ kernel }}(state->k, R(0.0), q - reference, f_ext, state->memory);
 
     u = u + {{ name }}_feedforward(ahead_q, ahead_v, ahead_a);

@@ -1,11 +1,10 @@
 /* {{ name }}: {{ label }} of the axis "{{ axis }}"
  *
- * Made by emps-design {{ version }}; README.md says from what. Each sample, every {{ period }} s:
+ * Made by emps-design {{ version }}; README.md documents the sources. Each sample, every {{ period }} s:
  *
 {% for line in equations %} *     {{ line }}
 {% endfor %} *
- * Double precision gives the bits of the simulation, sample for sample, if the compiler rounds every product and every
- * sum: -ffp-contract=off, and no -ffast-math. With {{ macro }}_SINGLE defined all numbers are single precision.
+ * Double precision is bit-identical to the simulation if the compiler rounds every product and every sum: -ffp-contract=off, and no -ffast-math. With {{ macro }}_SINGLE defined all numbers are single precision.
  * C99 and math.h; no allocation, no other state than {{ name }}_state.
  */
 #ifndef {{ macro }}_H
@@ -26,14 +25,14 @@ typedef double {{ name }}_real;
 
 typedef struct {
     long long k; /* samples since {{ name }}_init */
-    {{ name }}_real memory[{{ macro }}_MEMORY]; /* of the law, SI: what the equations above have at k-1, k-2, ... */
+    {{ name }}_real memory[{{ macro }}_MEMORY]; /* of the law, SI: values of the equations above at k-1, k-2, ... */
 } {{ name }}_state;
 
-/* Begin anew: the next sample is the first, and the axis has been at rest until then. */
+/* Initialise: the next sample is the first, and the axis has been at rest until then. */
 void {{ name }}_init({{ name }}_state *state);
 
-/* One sample. Takes what the law follows, {{ follows }} [{{ reference_unit }}], the position that the encoder reports
- * [{{ position_unit }}], and the external {{ force }} on the {{ carriage }} [{{ force_unit }}] (0 where there is no sensor for it).
+/* One sample. Takes the reference of the law, {{ follows }} [{{ reference_unit }}], the position that the encoder reports
+ * [{{ position_unit }}], and the external {{ force }} on the {{ carriage }} [{{ force_unit }}] (0 without a sensor).
  * Returns the {{ answer }} [{{ output_unit }}]{{ either_way }}.
 {% if ahead %} *
  * ahead_q [{{ position_unit }}], ahead_v [{{ velocity_unit }}], ahead_a [{{ acceleration_unit }}]: the motion of the reference {{ ahead.wait }} s after

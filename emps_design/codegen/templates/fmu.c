@@ -1,7 +1,7 @@
-/* Made by emps-design {{ version }}: {{ model }} of the axis "{{ axis }}" as a unit of FMI 3.0 for co-simulation.
+/* Made by emps-design {{ version }}: {{ model }} of the axis "{{ axis }}" as an FMI 3.0 unit for co-simulation.
  *
- * A communication step is a whole number of samples of {{ period }} s. What goes in holds from its beginning on, what
- * comes out belongs to its end{{ note }}.
+ * A communication step is a whole number of samples of {{ period }} s. Inputs act from its beginning, outputs
+ * belong to its end{{ note }}.
  */
 #include <stdbool.h>
 #include <stdint.h>
@@ -27,7 +27,7 @@ typedef struct {
     model state;
     double start; /* s */
     long long samples;
-    bool begun;   /* the outputs are those of a run, which may have ended */
+    bool started; /* the outputs are those of a run, which may have ended */
     bool running;
     void *environment;
     log_message log;
@@ -84,7 +84,7 @@ FMI status fmi3ExitInitializationMode(void *given)
     instance *i = given;
 
     model_begin(&i->state, i->value);
-    i->begun = true;
+    i->started = true;
     i->running = true;
     return OK;
 }
@@ -100,7 +100,7 @@ FMI status fmi3Reset(void *given)
     instance *i = given;
 
     memcpy(i->value, START, sizeof START);
-    i->begun = false;
+    i->started = false;
     i->running = false;
     return OK;
 }
@@ -109,8 +109,8 @@ FMI status fmi3GetFloat64(void *given, const reference *which, size_t count, dou
 {
     instance *i = given;
 
-    if (!i->begun) {
-        model_begin(&i->state, i->value); /* in initialization mode: what the start values make of the outputs */
+    if (!i->started) {
+        model_begin(&i->state, i->value); /* in initialization mode: outputs of the start values */
     }
     for (size_t n = 0; n < count; n++) {
         if (which[n] >= VALUES || n >= values) {
@@ -164,7 +164,7 @@ FMI status fmi3DoStep(void *given, double now, double step, bool no_return, bool
     return OK;
 }
 
-/* What an instance was at one time, for a master that steps back. It points into its owner, so it is for no other. */
+/* A saved state of an instance, for a master that steps back. It points into its owner and is valid for it only. */
 typedef struct {
     instance *owner;
     instance content;
@@ -210,7 +210,7 @@ FMI status fmi3SetDebugLogging(void *given, bool on, size_t count, const char *c
     return OK;
 }
 
-/* What this unit does not have. */
+/* Functions that this unit does not support. */
 static status missing(void *given)
 {
     return failed(given, "found a call that this unit does not have; modelDescription.xml says what it has");

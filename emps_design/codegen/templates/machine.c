@@ -1,5 +1,5 @@
-/* Made by emps-design {{ version }}: the axis "{{ axis }}" with its effects, by translation of the stepper that its
- * simulations run. Doubles; the same bits if the compiler rounds every product and every sum: -ffp-contract=off.
+/* Made by emps-design {{ version }}: the axis "{{ axis }}" with its effects, translated from the stepper of its
+ * simulations. Doubles; bit-identical if the compiler rounds every product and every sum: -ffp-contract=off.
  */
 #include <math.h>
 #include <string.h>
@@ -8,7 +8,7 @@ typedef double real;
 
 #define R(x) ((real)(x))
 #define FN(name) name
-#define RING {{ machine.ring }} /* samples that are kept */
+#define RING {{ machine.ring }} /* stored samples */
 
 {% for line in machine.structures %}{{ line }}
 {% endfor %}
@@ -85,7 +85,7 @@ static void read_encoder(run_state *m)
 {% for line in machine.opened.upto %}{{ line }}
 {% endfor %}}
 
-/* The rest of it: the command acts for one period. Its status is 0 where all is well. */
+/* The rest of a sample: the command acts for one period. Its status is 0 without an error. */
 static {{ machine.opened.result }}move(run_state *m)
 {
 {% for line in machine.opened.after %}{{ line }}

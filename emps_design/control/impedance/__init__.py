@@ -1,1 +1,1 @@
-"""The impedance law, (24) to (30): analysis of the loop it makes."""
+"""Analysis of the loop of the impedance law, (24) to (30)."""

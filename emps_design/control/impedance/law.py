@@ -2,7 +2,7 @@
 
 Section IV of the 2018 paper, after Hogan; the equations are in :mod:`emps_design.laws.library.impedance`. Plant
 ``M qdd = tau + tau_e - F_v qd - F_c sign(qd)``. ``kappa = 1`` follows from (28) and (29); ``kappa = 2`` is (30) as
-printed. Hats are ``(1 + error)`` times the plant's numbers, so an error of +2 % is an over-estimate.
+printed. Hats are ``(1 + error)`` times the parameters of the plant, so an error of +2 % is an overestimate.
 
 :class:`EquivalentLoop` is the cascaded force loop (k_e1, k_v1, t_v) that is equivalent to an impedance (M_a, B). The
 cascade of Fig. 4 responds to a hand with ``qd = k_e1 T_vc(s) tau_e``, so its impedance is, exactly,
@@ -13,7 +13,7 @@ cascade of Fig. 4 responds to a hand with ``qd = k_e1 T_vc(s) tau_e``, so its im
 - *least squares* of Z over 0 to 20 rad/s, uniform in frequency: the same M_a per k_e1, and B the mean of the real part
   ``(1 - w^2/w_0v^2)/k_e1``.
 
-The term s^2 has no counterpart, so there is no match at high frequency. From the paper's own 100 rad/s, 60 deg and
+The term s^2 has no counterpart, so there is no match at high frequency. From the paper's 100 rad/s, 60 deg and
 B = 100 N/(m/s) follows M_a = 0.87 kg: the 50 kg of its experiments are not equivalent to its section II-C.
 """
 
@@ -71,14 +71,17 @@ class ApparentImpedance:
 
 @dataclass(frozen=True)
 class ImpedanceLaw:
-    """The impedance law with all its options, or many laws: arrays of one shape in place of numbers, estimates too.
+    """The impedance law with all its options; arrays of one shape in place of numbers and estimates give many laws.
 
-    ``mass`` M_a [kg], ``damping`` B [N/(m/s)], ``estimate`` the law's X, ``stiffness`` K [N/m] about
-    ``rest_position`` q_0 [m]; ``filter`` [rad/s] low-passes acceleration and current alike (inf: none),
-    ``current_filter`` another one for the current alone (None: the same); ``coulomb_factor`` c scales the Coulomb
-    compensation; ``current_factor`` is ``DERIVED`` or ``PRINTED``; ``reference_velocity`` qd_0 [m/s] of (25), with
-    which q_0 moves; ``force_sensor`` puts a measured tau_e in the place of (29).
-    Raises :class:`InputError` for M_a <= 0, B < 0 and the like.
+    - ``mass`` M_a [kg], ``damping`` B [N/(m/s)], ``stiffness`` K [N/m] about ``rest_position`` q_0 [m];
+    - ``estimate``: the parameters that the law uses;
+    - ``filter`` [rad/s]: low-pass of acceleration and current (inf: none); ``current_filter``: another one for the
+      current (None: the same);
+    - ``coulomb_factor`` c: scales the Coulomb compensation; ``current_factor``: ``DERIVED`` or ``PRINTED``;
+    - ``reference_velocity`` qd_0 [m/s] of (25), the velocity of q_0;
+    - ``force_sensor``: use a measured tau_e instead of (29).
+
+    Raises :class:`InputError` for parameters out of range, such as M_a <= 0 or B < 0.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> law = ImpedanceLaw(50.0, 100.0, plant)
@@ -126,34 +129,34 @@ class ImpedanceLaw:
 
     @property
     def recursion_gain(self) -> Any:
-        """Gain of the law's recursion in its own current, kappa (Mh/M_a - 1); 0 with a force sensor."""
+        """Gain of the recursion in the law's current, kappa (Mh/M_a - 1); 0 with a force sensor."""
         return 0.0 if self.force_sensor else self.current_factor * (self.ratio - 1.0)
 
     def at_singularity(self, current_factor: float) -> bool:
-        """Whether (30) with that ``current_factor`` has no solution: the law's current cancels itself.
+        """Whether (30) with that ``current_factor`` has no solution because the current of the law cancels.
 
-        As printed that is so at M_a = 2 Mh; as derived never.
+        As printed this is the case for M_a = 2 Mh, as derived never.
         """
         return not self.force_sensor and bool(np.any(np.abs(1.0 + current_factor * (self.ratio - 1.0)) < SINGULAR))
 
     def with_errors(self, errors: dict[str, Any]) -> ImpedanceLaw:
-        """Return the law with estimates ``(1 + error)`` times its own; errors (m,) make it m laws."""
+        """Return the law with ``(1 + error)`` times its estimates; errors (m,) give m laws."""
         return replace(self, estimate=self.estimate.with_errors(errors))
 
     def check_period(self, period: float) -> None:
-        """Refuse filters above the Nyquist frequency pi/period with :class:`InputError`; inf means no filter."""
+        """Raise :class:`InputError` for a filter above the Nyquist frequency pi/period; inf means no filter."""
         check_filters(period, *self.filters)
 
     def motor_force(self, q: float, v: float, a: float, tau: float, tau_e: float | None = None) -> float:
-        """Motor force [N] of the continuous law, with filtered ``a`` and ``tau``, and ``tau_e`` of a force sensor.
+        """Motor force [N] of the continuous law by (27) with (29), q_0 at its initial position.
 
-        Source: (27) with (29), q_0 at its initial position.
+        ``a`` [m/s^2] and ``tau`` [N] are filtered; ``tau_e`` [N] is the reading of a force sensor.
         """
         i, s = int(v < 0), float(np.sign(v))
         e, coulomb = self.estimate, s * self.coulomb_factor * self.estimate.coulomb[i]
         if self.force_sensor:
             if tau_e is None:
-                raise InputError("tau_e: found none, expected the reading of the sensor")
+                raise InputError("tau_e: found none, expected the reading of the force sensor")
         else:
             tau_e = observed_force(e.mass, e.viscous[i], coulomb, self.current_factor, a, v, tau)
         away = q - self.rest_position
@@ -165,8 +168,8 @@ class ImpedanceLaw:
     def apparent(self, plant: FrictionModel, direction: int = 1) -> ApparentImpedance:
         """Apparent impedance on ``plant`` for motion to + or - (``direction`` 1, -1), ideal current loop, no filter.
 
-        With ``D = 1 + kappa (r - 1)``: mass ``M - (r - 1) Mh/D``, damping ``F_v - r (Fh_v - B)/D``, Coulomb left
-        ``F_c - r c Fh_c/D``. For kappa = 1, D = r and these are M_a + M - Mh, B + F_v - Fh_v, F_c - c Fh_c.
+        With ``D = 1 + kappa (r - 1)``: mass ``M - (r - 1) Mh/D``, damping ``F_v - r (Fh_v - B)/D``, remaining Coulomb
+        friction ``F_c - r c Fh_c/D``. For kappa = 1, D = r and these are M_a + M - Mh, B + F_v - Fh_v, F_c - c Fh_c.
         """
         r, i = self.ratio, 0 if direction > 0 else 1
         viscous, coulomb = plant.viscous[i], plant.coulomb[i]
@@ -203,9 +206,9 @@ class ImpedanceLaw:
 
 @typed
 def impedance_law(axis: Axis, mass: float, damping: float, filter: float | None = None, **options: Any) -> ImpedanceLaw:
-    """Return the law for ``axis`` with the axis's own parameters as estimates.
+    """Return the law for ``axis`` with the parameters of the axis as estimates.
 
-    ``filter`` [rad/s] None takes that of the axis's controller, else :func:`default_filter`. Raises
+    ``filter`` [rad/s] defaults to that of the axis's controller, else to :func:`default_filter`. Raises
     :class:`InputError` for numbers out of range and for filters above Nyquist.
 
     >>> from emps_design.machines import machine
@@ -252,7 +255,7 @@ def _finite(name: str, values: Any, lower: float = -math.inf, open_below: bool =
 class EquivalentLoop:
     """A cascaded loop and its equivalent impedance, by one criterion.
 
-    ``error(omega)`` is the relative error of its impedance; ``warnings`` say whether the equivalent is unsafe.
+    ``error(omega)`` is the relative error of its impedance; ``warnings`` say why the equivalent may be unsafe.
     """
 
     mass: float
@@ -335,9 +338,9 @@ def equivalent_loop(
 ) -> EquivalentLoop:
     """Return the cascade equivalent to M_a [kg] and B [N/(m/s)].
 
-    Two numbers leave one of three gains free: it is set by ``input_crossover``, ``k_v1 G_tau/M`` [rad/s] of the loop at
-    the plant input (default 0.5/period); the faster, the smaller the error. B = 0 has no equivalent: it raises
-    :class:`SpecificationError`.
+    Two numbers do not determine three gains. ``input_crossover``, ``k_v1 G_tau/M`` [rad/s] of the loop at the plant
+    input, sets the third (default 0.5/period); the faster, the smaller the error. Raises :class:`SpecificationError`
+    for B = 0, which has no equivalent.
 
     >>> from emps_design.machines import machine
     >>> loop = equivalent_loop(machine("emps2018"), 50.0, 100.0)
@@ -375,14 +378,14 @@ def safety_words(axis: Axis, mass: float, damping: float, mismatch: float) -> tu
     if mass <= mismatch * plant.mass:
         text = (
             f"not safe: M_a = {shown(mass, 'kg', '.3g')} is within the {100 * mismatch:g} % error of M, "
-            f"{shown(mismatch * plant.mass, 'kg', '.3g')}; at the bad corner the apparent {axis.units.word('mass')} is "
-            "negative"
+            f"{shown(mismatch * plant.mass, 'kg', '.3g')}; at the worst corner the apparent {axis.units.word('mass')} "
+            "is negative"
         )
         messages.append(warning("mass-within-error", text, mass=mass, mismatch=mismatch))
     if damping <= mismatch * max(plant.viscous):
         text = (
             f"not safe: B = {shown(damping, 'N/(m/s)', '.3g')} is within the {100 * mismatch:g} % error of F_v, "
-            f"{shown(mismatch * max(plant.viscous), 'N/(m/s)', '.3g')}; at the bad corner the apparent damping is "
+            f"{shown(mismatch * max(plant.viscous), 'N/(m/s)', '.3g')}; at the worst corner the apparent damping is "
             "negative"
         )
         messages.append(warning("damping-within-error", text, damping=damping, mismatch=mismatch))
@@ -412,12 +415,12 @@ def _loop(
         if pole > 1.0 + MARGINAL:
             at_input = gains[0] * axis.drive.gain / plant.mass
             text = (
-                f"not for this drive: its sampled velocity loop would be unstable, largest pole {pole:.4g}; "
-                f"give an input crossover below its {at_input:.4g} rad/s"
+                f"not for this drive: the sampled velocity loop would be unstable, largest pole {pole:.4g}; use a "
+                f"crossover at the plant input below {at_input:.4g} rad/s"
             )
             messages.append(grave("not-for-this-drive", text, pole=pole))
     if w0 < BAND:
-        text = f"the cascade's own resonance, {w0:.3g} rad/s, lies inside the operator's {BAND:g} rad/s"
+        text = f"the resonance of the cascade, {w0:.3g} rad/s, is within the operator's band of {BAND:g} rad/s"
         messages.append(warning("resonance-in-band", text, resonance=w0))
     return EquivalentLoop(
         mass, damping, k_e1, gains[0], gains[1], w0, 0.5 * lag * w0, crossover, phase, criterion, pole, tuple(messages)

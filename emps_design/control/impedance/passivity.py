@@ -1,20 +1,21 @@
 """The impedance law on a sampled drive, the passivity at the hand, and stability in contact with hands and walls.
 
 Continuous time (current loop ``1/(T_c s + 1)``, both filters first order, velocity and acceleration exact): the
-driving-point admittance is a ratio of polynomials N/D. It is positive real where D is Hurwitz and
-``Re N(jw) conj(D(jw))``, an even polynomial, is nowhere negative; its sign changes are the real roots of a polynomial
-in w^2, computed as eigenvalues, so no frequency is missed between grid points. Its coefficients span twenty powers of
-ten in rad/s and are small differences of large products: they are rational numbers until the frequency is scaled.
+driving-point admittance is a ratio of polynomials N/D. It is positive real if D is Hurwitz and
+``Re N(jw) conj(D(jw))``, an even polynomial, is never negative. Its sign changes are the real roots of a polynomial in
+w^2, computed as eigenvalues, so no frequency is missed between grid points. The coefficients span twenty powers of ten
+and are small differences of large products, so they are rational numbers until the frequency is scaled.
 
-Sampled: for an external force held over each period, the supplied energy is exactly force times position step, so the
-sampled loop is passive for such forces if ``Re V(e^{jwT})/tau_e >= 0`` up to the Nyquist frequency: a sweep.
+Sampled: for an external force held over each period, the supplied energy is exactly force times position step. So the
+sampled loop is passive for such forces if ``Re V(e^{jwT})/tau_e >= 0`` up to the Nyquist frequency, which a sweep
+checks.
 
-The law is the kernel that runs in the drive, in its linear form; friction is viscous here (the carriage slides in one
-direction), since a Coulomb term does not move the poles. While the carriage *sticks*, its acceleration is zero, and
-the law's recursion in its own current remains, with gain kappa (r - 1): that loop has poles of its own.
+The law is the linear form of the kernel that runs in the drive. Friction is viscous here (motion in one direction),
+since Coulomb friction does not move the poles. While the carriage *sticks*, its acceleration is zero, and the recursion
+in the law's current remains, with gain kappa (r - 1); it has its own poles.
 
-Impedance and its error are those of the sampled loop at the hand; the relay of the Coulomb compensation is analysed
-by its describing function.
+Impedance and its error are those of the sampled loop at the hand. The relay of the Coulomb compensation is analysed by
+its describing function.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from emps_design.stretches import stretches
 
 Bands = tuple[tuple[float, float], ...]
 
-CLOSE = 1.001  # ratio of two walls, or of two apparent masses, that are alike
+CLOSE = 1.001  # ratio of two walls, or of two apparent masses, at which a search ends
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Clock:
 
     @classmethod
     def of(cls, axis: Axis) -> Clock:
-        """The clock of an axis."""
+        """Sampling and drive of ``axis``."""
         return cls(axis.sampling.period, axis.drive.current_time_constant, axis.sampling.computation_delay)
 
 
@@ -63,8 +64,8 @@ def sampled_loop(
 ) -> SampledLoop:
     """Close the sampled loop of ``law`` on ``plant`` for motion to + or - (``direction``), free or in contact.
 
-    Many loops at once where ``law`` or ``environment`` holds arrays, all of one shape. Voltages are forces: G_tau is 1.
-    The input ``coulomb`` is the level of the Coulomb compensation [N].
+    Arrays of one shape in ``law`` or ``environment`` give many loops. Voltages are forces: G_tau is 1. The input
+    ``coulomb`` is the level of the Coulomb compensation [N].
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -85,8 +86,8 @@ def sampled_loop(
 def extended_loop(axis: Axis, law: ImpedanceLaw, velocity: float = 0.1) -> SampledLoop:
     """Close the sampled loop of ``law`` on ``axis``, its effects linearised in steady motion at ``velocity`` [m/s].
 
-    The law's model of its current ignores the effects: lag, delay or gain of an actuator appear in the poles. Many
-    loops at once where ``law`` holds arrays.
+    The current model of the law neglects the effects, so lag, delay or gain of an actuator change the poles. Arrays in
+    ``law`` give many loops.
 
     >>> from emps_design.machines import machine
     >>> from emps_design.control.impedance.law import impedance_law
@@ -102,7 +103,7 @@ def extended_loop(axis: Axis, law: ImpedanceLaw, velocity: float = 0.1) -> Sampl
 
 
 def recursion_poles(law: ImpedanceLaw, clock: Clock) -> np.ndarray:
-    """Poles of the law's recursion in its own current while the carriage sticks, largest first; 0: no recursion."""
+    """Poles of the recursion in the law's current while the carriage sticks, largest first; 0: no recursion."""
     poles = own_poles(_smooth(law, clock), clock.period)
     return sorted_poles(poles) if poles.size else np.zeros(1, dtype=complex)
 
@@ -134,23 +135,23 @@ def relay_oscillations(
 ) -> list[tuple[float, float] | None]:
     """Predict the oscillation that the Coulomb compensation can sustain: (frequency [rad/s], speed amplitude [m/s]).
 
-    A list of one, or one per law where ``law`` holds arrays (m,), as :meth:`.ImpedanceLaw.with_errors` returns them.
+    The list has one entry per law: ``law`` may hold arrays (m,), as returned by :meth:`.ImpedanceLaw.with_errors`.
 
-    The law applies ``r c Fh_c sign(v_k)`` at once, but subtracts the effect of its own current only through the
-    filter: after a reversal it over-compensates for a while. Describing function of the two relays, plant and law:
-    a sinusoid of amplitude ``A`` sustains itself if
+    The law applies ``r c Fh_c sign(v_k)`` at once, but subtracts the effect of its current through the filter: after a
+    reversal it overcompensates for a while. By the describing function of the two relays, in plant and law, a sinusoid
+    of amplitude ``A`` sustains itself if
 
         (4/pi) (-F_c Y_e(jw) + r c Fh_c Y_c(jw) e^{j angle(v_k/v)}) = A > 0
 
-    with Y_e, Y_c the mean velocity per force at the hand and per force added to the law's, both against a ``wall``
-    [N/m] if it is not 0. Searched between 0.5 rad/s and a quarter of the Nyquist frequency (half of it against a
-    wall); the largest is returned, None if there is none. An approximation: simulated speeds are up to twice as large
-    and, since the carriage stays near rest for a while, frequencies two to six times lower; sticking may end the
-    oscillation before it settles. It is necessary for a limit cycle of this kind, not sufficient.
+    with Y_e, Y_c the mean velocity per force at the hand and per force added to that of the law, both against a
+    ``wall`` [N/m] if it is not 0. The search covers 0.5 rad/s to a quarter of the Nyquist frequency (half of it against
+    a wall); the largest oscillation is returned, None if there is none. This is an approximation: simulated speeds are
+    up to twice as large, and frequencies two to six times lower, since the carriage stays near rest for a while;
+    sticking may end the oscillation. The condition is necessary for a limit cycle of this kind, not sufficient.
     """
     omega = np.geomspace(0.5, (0.5 if wall else 0.25) * np.pi / clock.period, 600)
     back = np.exp(-1j * omega * clock.period)
-    # Phase of the velocity that the law estimates, against the mean over the following period.
+    # Phase of the estimated velocity relative to the mean over the following period.
     turn = estimator_response(law.velocity_estimator, omega, clock.period) * back
     balances = []
     for direction in plant.directions:
@@ -218,7 +219,7 @@ def admittance_polynomials(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Numerator and denominator of velocity over external force, continuous law, ascending powers of s.
 
-    They are rational numbers, so that terms which cancel by algebra are exactly zero.
+    They are rational numbers, so that terms that cancel algebraically are exactly zero.
     """
     i = 0 if direction > 0 else 1
     mass_hat, damping, unity = Fraction(law.estimate.mass), Fraction(law.damping), Fraction(1)
@@ -246,7 +247,7 @@ def admittance_polynomials(
 
 
 def passivity(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, points: int = 4000) -> Passivity:
-    """Return the passivity of the law: exact polynomial roots in continuous time, a sweep of ``points`` if sampled.
+    """Return the passivity of the law: by exact polynomial roots in continuous time, by a sweep of ``points`` sampled.
 
     The result is that of the less passive direction of motion.
 
@@ -337,9 +338,9 @@ def contact_map(
 ) -> ContactMap:
     """Map coupled stability over hand and wall: ``stiffness`` [N/m] to ground and ``damping`` [N/(m/s)], ``mass`` [kg].
 
-    Default: 0 and 30 stiffnesses from 10 N/m to 10 MN/m (a finger to a steel wall), 0 and 20 dampings up to
-    10 kN/(m/s), for a carriage of 100 kg at 1 kHz, scaled by mass and sampling rate in powers of ten for another one.
-    A passive wall or hand can only destabilise a law that is not passive. The worse direction of motion counts.
+    The default is 0 and 30 stiffnesses from 10 N/m to 10 MN/m (a finger to a steel wall), 0 and 20 dampings up to
+    10 kN/(m/s), for a carriage of 100 kg at 1 kHz; for others they scale with mass and sampling rate in powers of ten.
+    A passive wall or hand can destabilise only a law that is not passive. The worse direction of motion counts.
     """
     k, c = (10.0 ** round(math.log10(plant.mass / clock.period**order / 10.0 ** (2 + 3 * order))) for order in (2, 1))
     stiffness = np.concatenate([[0.0], k * np.geomspace(10.0, 1e7, 30)]) if stiffness is None else np.asarray(stiffness)
@@ -347,7 +348,7 @@ def contact_map(
     grid_k, grid_b = np.meshgrid(stiffness, damping)
     hand = Environment(mass, grid_b.ravel(), grid_k.ravel())
     radius = _radius(law, plant, clock, hand).reshape(grid_k.shape)
-    if not np.any(law.stiffness) and np.any(stiffness == 0.0):  # a free position has a pole at 1, which does not count
+    if not np.any(law.stiffness) and np.any(stiffness == 0.0):  # without the pole at 1 of a free position
         radius[:, stiffness == 0.0] = _radius(law, plant, clock, Environment(mass, damping, 0.0))[:, None]
     return ContactMap(stiffness, damping, mass, radius)
 
@@ -359,10 +360,10 @@ def _radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, touched: Envi
 
 
 def largest_wall(law: ImpedanceLaw, plant: FrictionModel, clock: Clock) -> float | None:
-    """Largest stiffness [N/m] of an undamped wall below which every wall is stable; None: all up to 1 GN/m.
+    """Largest stiffness [N/m] below which every undamped wall is stable; None: all up to 1 GN/m.
 
-    Searched on stiffnesses 11 % apart, bisect to 0.1 %; 0 if the softest wall is already unstable: that of 1 N/m, or
-    of 1e-8 M_a/T^2 for a light axis.
+    The search has steps of 11 % and is bisected to 0.1 %. It is 0 if the softest wall is already unstable: that of
+    1 N/m, or of 1e-8 M_a/T^2 for a light axis.
     """
     stiffness = np.geomspace(1.0, 1e9, 200)
     softest, apart = 1e-8 * law.mass / clock.period**2, stiffness[1] / stiffness[0]

@@ -1,12 +1,12 @@
 """Robustness of impedance laws: creep and dead band in closed form, stability maps, and the nearest stable law.
 
-A mismatch ``e`` lets each estimate be any number within ``(1 +- e)`` times the plant's. Coulomb friction moves no pole;
-over-estimated it drives the carriage at the constant speed ``v = (c Fh_c - F_c) / (B + F_v - Fh_v)``, under-estimated
-it leaves a dead band ``F_c - c Fh_c`` [N] below which a push does not keep the carriage moving.
+Under a mismatch ``e`` each estimate is within ``(1 +- e)`` times the parameter of the plant. Coulomb friction moves no
+pole. Overestimated, it drives the carriage at the constant speed ``v = (c Fh_c - F_c) / (B + F_v - Fh_v)``.
+Underestimated, it leaves a dead band ``F_c - c Fh_c`` [N]: a smaller push does not keep the carriage moving.
 
 Margins are those at the plant input, where a wrong force gain, a delay or a slow drive acts. The law cancels friction
-and part of the mass by its estimates, so a larger force gain is over-compensation: its gain margin is often reached at
-frequency 0, where the apparent damping vanishes.
+and part of the mass by its estimates, so a larger force gain overcompensates: the gain margin is often reached at
+frequency 0, where the apparent damping becomes zero.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from emps_design.laws.law import PARAMETERS
 from emps_design.laws.linear import linear_law
 
 STEP = 1.05  # ratio of two apparent masses in a search
-MORE_DAMPING = (1.0, 1.5, 2.25)  # factors on the law's damping, or on the least that the mismatch permits
-ALIKE = 0.2  # distance of logarithms of mass and filter within which a law is taken to swing like another
-# By rising severity; ``no_motion``: the carriage was at rest when released, so nothing is known of it.
+MORE_DAMPING = (1.0, 1.5, 2.25)  # factors on the damping of the law, or on the least that the mismatch permits
+ALIKE = 0.2  # distance in the logarithms of mass and filter within which laws are excluded with one in a limit cycle
+# By rising severity; ``no_motion``: the carriage was at rest at the release, so there is no verdict.
 VERDICTS = ("stable", "dead_band", "no_motion", "creeping", "limit_cycle", "unstable")
 
-SPEED = 0.1  # m/s, of the slide in which effects are linearised
+SPEED = 0.1  # m/s, at which effects are linearised
 
 
 def check_mismatch(mismatch: float) -> float:
@@ -66,7 +66,7 @@ def corner_errors(mismatch: float, two_quadrant: bool = False) -> list[dict[str,
 
 
 def exact_and_corners(mismatch: float) -> list[dict[str, float]]:
-    """No errors, then every corner of :func:`corner_errors`; no errors alone where the ``mismatch`` is 0."""
+    """No errors, followed by the corners of :func:`corner_errors` unless ``mismatch`` is 0."""
     return [{}, *(corner_errors(mismatch) if mismatch else ())]
 
 
@@ -80,10 +80,10 @@ def stacked(corners: Sequence[dict[str, float]]) -> dict[str, np.ndarray]:
 
 
 def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> Any:
-    """Limit of the speed [m/s] of free motion in ``direction``: positive if it creeps, negative if friction stops it.
+    """Final speed [m/s] of free motion in ``direction``: positive if it creeps, negative if friction stops it.
 
-    Infinite if the apparent damping is not positive and nothing else stops the motion; never positive with a stiffness,
-    which ends every drift. A float, or (m,) for a law whose estimate holds arrays.
+    It is infinite if the apparent damping is not positive and friction does not stop the motion, and never positive
+    with a stiffness, which stops every drift. A float, or (m,) for a law whose estimate holds arrays.
     """
     z = law.apparent(plant, direction)
     remaining, damping = np.asarray(z.coulomb_left), np.asarray(z.damping)
@@ -96,7 +96,7 @@ def drift_speed(law: ImpedanceLaw, plant: FrictionModel, direction: int = 1) -> 
 
 
 def creep_speed(law: ImpedanceLaw, plant: FrictionModel) -> float:
-    """Speed [m/s] at which the released carriage keeps creeping, in the worse direction; 0: it does not.
+    """Creep speed [m/s] of the released carriage in the worse direction; 0 without creep.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> over = ImpedanceLaw(50.0, 100.0, plant).with_errors({"mass": 0.02, "viscous": 0.02, "coulomb": 0.02})
@@ -112,15 +112,16 @@ def dead_band(law: ImpedanceLaw, plant: FrictionModel) -> float:
 
 
 def break_away(law: ImpedanceLaw, plant: FrictionModel) -> float:
-    """Force [N] that starts a resting carriage: at rest the law compensates no Coulomb friction.
+    """Break-away force [N] at the hand.
 
-    With a force sensor the motor assists from the start, ``F_c M_a/Mh``; without one it is the whole F_c.
+    Without a force sensor it is F_c, since at rest the law compensates no Coulomb friction. With one the motor assists,
+    and it is ``F_c M_a/Mh``.
     """
     return max(plant.coulomb) / (law.ratio if law.force_sensor else 1.0)
 
 
 def sinking_force(plant: FrictionModel) -> float:
-    """Constant force in excess of dry friction [N], 0 if friction holds it: at rest the law compensates neither.
+    """Excess of the constant force over dry friction [N], 0 if friction holds the axis; the law compensates neither.
 
     >>> sinking_force(FrictionModel(95.0, 200.0, 200.0, 72.0, -48.0))
     48.0
@@ -129,9 +130,9 @@ def sinking_force(plant: FrictionModel) -> float:
 
 
 def coulomb_factor_without_creep(law: ImpedanceLaw, plant: FrictionModel, mismatch: float) -> float | None:
-    """Largest Coulomb compensation factor c with which no law within ``mismatch`` creeps: ``c Fh_c <= F_c``.
+    """Largest Coulomb factor c with which no law within ``mismatch`` creeps: ``c Fh_c <= F_c``.
 
-    None if a constant force exceeds dry friction: no factor suits both directions.
+    None if a constant force exceeds dry friction, since no factor suits both directions.
 
     >>> plant = FrictionModel(115.7315, 474.9727, 474.9727, 17.3811, 17.3811)
     >>> round(coulomb_factor_without_creep(ImpedanceLaw(50.0, 100.0, plant), plant, 0.02), 5)
@@ -147,8 +148,8 @@ def coulomb_factor_without_creep(law: ImpedanceLaw, plant: FrictionModel, mismat
 def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: float = 0.0) -> str:
     """Return the analytical verdict on the released carriage: one of ``VERDICTS``.
 
-    Unstable by the poles in either direction; a limit cycle if the recursion in the law's own current is unstable,
-    which moves the carriage out of rest; else by :func:`drift_speed` against :func:`drift_threshold`.
+    It is unstable if the poles are in either direction, and a limit cycle if the recursion in the law's current is
+    unstable, which moves a carriage at rest. Otherwise :func:`drift_speed` and :func:`drift_threshold` decide.
     """
     directions = max(plant.directions, law.estimate.directions, key=len)
     if any(not sampled_loop(law, plant, clock, direction).stable for direction in directions):
@@ -163,24 +164,25 @@ def verdict(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, resolution: f
 
 
 def drift_threshold(period: float, resolution: float, velocity_estimator: AnyEstimator = TWO_TAP) -> float:
-    """Speed [m/s] below which friction cannot sustain a creep: one encoder step within the span of a velocity estimate.
+    """Lowest sustained creep speed [m/s]: one encoder step within the span of the velocity estimate.
 
-    An estimate over one period (backward) or several (two_tap, a slope) without a step is 0 and compensates no
-    friction. So a creep of less than one step in that time ends, a faster one continues. 0.025 mm/s on ``emps2018``
-    with two_tap. An estimate that only decays (filtered, tracking) keeps its sign: no creep ends.
+    An estimate over one period (backward) or several (two_tap, a slope) is 0 without an encoder step and then
+    compensates no friction. So a creep of less than one step in that time stops; a faster one continues. It is
+    0.025 mm/s on ``emps2018`` with two_tap. An estimate that only decays (filtered, tracking) keeps its sign, so no
+    creep stops.
     """
     return max(resolution / period / forgets(velocity_estimator), 1e-6)
 
 
 def worst_radius(law: ImpedanceLaw, plant: FrictionModel, clock: Clock, mismatch: float) -> np.ndarray:
-    """Largest pole modulus over the corners of ``mismatch``, sliding and sticking.
+    """Largest pole modulus over the corners of ``mismatch``, in motion and at rest.
 
-    Where M_a and filter of ``law`` are arrays, the result has the shape to which they broadcast.
+    If M_a and filter of ``law`` are arrays, the result has their broadcast shape.
     """
-    off = _exact_and_off(law, mismatch)
-    radii = [sampled_loop(off, plant, clock, direction).radius for direction in plant.directions]
+    laws = _exact_and_off(law, mismatch)
+    radii = [sampled_loop(laws, plant, clock, direction).radius for direction in plant.directions]
     if not law.force_sensor:
-        radii.append(np.abs(recursion_poles(off, clock)).max(axis=-1))
+        radii.append(np.abs(recursion_poles(laws, clock)).max(axis=-1))
     return np.max(np.broadcast_arrays(*radii), axis=(0, 1))
 
 
@@ -206,7 +208,7 @@ def _exact_and_off(law: ImpedanceLaw, mismatch: float) -> ImpedanceLaw:
 
 
 def _sliding_corners(mismatch: float) -> list[dict[str, float]]:
-    """Corners of the errors that matter to a carriage that slides, where Coulomb friction is constant."""
+    """Corners of the errors that matter in motion, where Coulomb friction is constant."""
     return corners_of({"mass": mismatch, "viscous": mismatch}) if mismatch else []
 
 
@@ -268,9 +270,8 @@ def smallest_mass(
 ) -> float | None:
     """Smallest M_a [kg] such that the law is stable at every corner from there up to M; None if there is none.
 
-    Searched on 200 masses between M/1000 and M, then bisect to 0.1 %. ``calm(law)`` says whether the carriage does
-    not swing though the poles are stable; with it the mass is one step above the smallest calm one, in steps of at most
-    5 %.
+    The search covers 200 masses between M/1000 and M and is bisected to 0.1 %. ``calm(law)`` says whether the simulated
+    carriage has no limit cycle; with it the mass is one step, at most 5 %, above the smallest without a limit cycle.
     """
     smallest = _smallest_stable(law, plant, clock, mismatch)
     if smallest is None or calm is None:
@@ -282,7 +283,7 @@ def smallest_mass(
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if calm(replace(law, mass=float(masses[middle]))) else (middle, high)
-    # One step of margin: next to the edge of the calm masses some are not.
+    # One step of margin, since near the smallest mass some laws have a limit cycle.
     return float(masses[min(high + 1, len(masses) - 1)])
 
 
@@ -310,10 +311,9 @@ def nearest_stable(
 ) -> dict[str, float] | None:
     """Return the law nearest to ``law`` that is stable at every corner of ``mismatch``; None if there is none.
 
-    Mass and filter are varied first, with more damping only if none is stable. Acceleration and current share the
-    filter. The distance is that of the logarithms of M_a and filter; the grid has steps of a few percent.
-    ``accept(laws)`` may refuse some of many laws for other reasons, and ``calm(law)`` one under which the carriage
-    swings though the poles are stable.
+    Mass and filter are varied first, and the damping is increased only if no such law is stable. Acceleration and
+    current share the filter. The distance is that of the logarithms of M_a and filter; the grid has steps of a few
+    percent. ``accept(laws)`` may exclude laws for other reasons, ``calm(law)`` a law with a limit cycle.
     """
     least = 1.05 * mismatch * max(plant.viscous)
     damping = law.damping if law.damping > mismatch * max(plant.viscous) else least
@@ -336,9 +336,9 @@ def _nearest_in_mass_and_filter(
 ) -> dict[str, float] | None:
     """:func:`nearest_stable` at the damping of ``law``."""
     nyquist = math.pi / clock.period
-    wanted_filter = min(law.filter, 0.99 * nyquist)
+    first_filter = min(law.filter, 0.99 * nyquist)
     masses = np.unique(np.concatenate([[law.mass], np.geomspace(law.mass, max(plant.mass, 2 * law.mass), 40)]))
-    filters = np.unique(np.concatenate([[wanted_filter], np.geomspace(nyquist / 300, 0.99 * nyquist, 30)]))
+    filters = np.unique(np.concatenate([[first_filter], np.geomspace(nyquist / 300, 0.99 * nyquist, 30)]))
     grid_mass, grid_filter = np.meshgrid(masses, filters)
     both = replace(law, current_filter=None)
     laws = replace(both, mass=grid_mass, filter=grid_filter)
@@ -347,13 +347,13 @@ def _nearest_in_mass_and_filter(
         stable[stable] = accept(replace(both, mass=grid_mass[stable], filter=grid_filter[stable]))
     if not stable.any():
         return None
-    distance = np.where(stable, np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / wanted_filter)), np.inf)
-    if calm is not None and not calm(replace(both, mass=float(masses[-1]), filter=wanted_filter)):
-        return None  # the heaviest law swings too: the cause is another one
+    distance = np.where(stable, np.hypot(np.log(grid_mass / law.mass), np.log(grid_filter / first_filter)), np.inf)
+    if calm is not None and not calm(replace(both, mass=float(masses[-1]), filter=first_filter)):
+        return None  # the heaviest law has a limit cycle too, so mass and filter are not the cause
     while np.isfinite(distance).any():
         place = int(np.argmin(distance))
         candidate = replace(both, mass=float(grid_mass.flat[place]), filter=float(grid_filter.flat[place]))
-        # Next to the edge of the calm laws some are not: one step lighter it must be calm too.
+        # Near the limit some laws have a limit cycle, so the law one step lighter must have none either.
         if calm is None or (calm(candidate) and calm(replace(candidate, mass=candidate.mass / STEP))):
             return {"mass": candidate.mass, "damping": float(law.damping), "filter": candidate.filter}
         around = np.hypot(np.log(grid_mass / candidate.mass), np.log(grid_filter / candidate.filter))

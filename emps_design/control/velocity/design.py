@@ -8,9 +8,9 @@ With K = k_v1 G_tau and K_v = K / t_v,
 
 Delay, current loop and sampling, which destabilise a real drive, act at the plant input, so margins are given there
 too. Two frequencies are called bandwidth: the crossover w_v of T_vo and the -3 dB frequency of T_vc; here ``crossover``
-is the former and ``bandwidth`` the latter, with -3 dB taken as the ratio 10^(-3/20).
+is the former and ``bandwidth`` the latter, with -3 dB as the ratio 10^(-3/20).
 
-For the implementation there are the difference equation, the largest step below the voltage limit, and the noise.
+The design includes the difference equation, the largest velocity step below the voltage limit, and the encoder noise.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ CONSTANT = 1e-9  # a pole closer than this to the unit circle counts as one at z
 
 @dataclass(frozen=True)
 class DifferenceEquation:
-    """The velocity law as computed at each sample: its ``kind`` and ``table`` on ``axis``, as text to paste."""
+    """The velocity law at each sample, as text for the drive: ``kind`` and ``table`` of the law on ``axis``."""
 
     axis: Axis
     kind: LawKind[Axis]
@@ -77,11 +77,11 @@ class DifferenceEquation:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """One assignment per line; with anti-windup where the limit acts on u."""
+        """One assignment per line, with anti-windup at the limit of u."""
         return self.kind.equations(self.table, self.axis, self.axis.sampling.period)
 
     def to_dict(self) -> dict[str, Any]:
-        """The lines and the numbers in them; integral_gain is k_v1 T / t_v [V/(m/s)]."""
+        """The lines and their numbers; integral_gain is k_v1 T / t_v [V/(m/s)]."""
         period = self.axis.sampling.period
         return {
             "lines": list(self.lines),
@@ -111,8 +111,8 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
 
     The peak voltage is that of the sampled linear loop [V per m/s] plus the voltage for dry friction and the constant
     force in the worse direction [V]; with a saturation or a dead zone the limit is the largest acting voltage.
-    ``window`` [s] is the simulated time, until the transient has decayed: with a spring the voltage keeps rising as the
-    carriage travels. ``loop`` must be stable.
+    ``window`` [s] is the simulated time until the transient has decayed; with a spring the voltage rises further with
+    the travel. ``loop`` must be stable.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -122,7 +122,9 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
     (0.0319, 0.494)
     """
     sizes = np.abs(loop.poles)
-    decaying = sizes[sizes < 1.0 - CONSTANT]  # a pole at z = 1 (a spring's, a load's in its play) does not decay
+    decaying = sizes[
+        sizes < 1.0 - CONSTANT
+    ]  # a pole at z = 1 (of a spring, or of a load within its play) does not decay
     slowest = float(np.max(decaying, initial=1e-3))
     samples = 10 + math.ceil(math.log(1e-4) / math.log(slowest))
     _, _, voltage = loop.step_response(samples)
@@ -141,9 +143,9 @@ def largest_velocity_step(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
 
 
 def command_in_a_step(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> float:
-    """Largest command [V] in a step of the reference by ``velocity`` [m/s], with that for dry friction.
+    """Largest command [V], including dry friction, in a step of the reference by ``velocity`` [m/s].
 
-    It is the largest in the first two periods of the crossover. ``loop`` must be stable.
+    It covers the first two periods of the crossover frequency. ``loop`` must be stable.
     """
     samples = max(20, round(4.0 * math.pi / ((loop.margins.crossover or 1.0) * loop.plant.period)))
     dry = (axis.mechanics.coulomb + abs(axis.mechanics.offset)) / axis.drive.gain
@@ -153,8 +155,8 @@ def command_in_a_step(axis: Axis, loop: SampledVelocityLoop, velocity: float) ->
 def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, float]:
     """Return the voltage [V] due to the encoder's quantisation: ``rms`` in closed loop, and for one encoder step.
 
-    Quantisation is taken as white noise of variance resolution^2/12, which holds in motion; ``one_step`` is the jump of
-    u when the reading changes by one step. ``loop`` must be stable.
+    Quantisation counts as white noise of variance resolution^2/12, which is valid in motion; ``one_step`` is the jump
+    of u when the reading changes by one step. ``loop`` must be stable.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -183,9 +185,9 @@ def encoder_voltage_noise(axis: Axis, loop: SampledVelocityLoop) -> dict[str, fl
 class VelocityLoopDesign(Viewed):
     """Gains of the velocity loop, the specification, and the margins at each place where the loop can be broken.
 
-    ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` is the specification; ``retuned_at`` names the place at which the
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; ``requested`` is the specification; ``retuned_at`` is the place at which the
     sampled loop meets it, "" for gains from (7); the effects of the axis are linearised at ``velocity`` [m/s].
-    ``structure`` says what the gains act on; ``filters`` at the law's output are in the sampled loop alone.
+    ``structure`` is IP or PI; only the sampled loop includes the ``filters`` at the law's output.
 
     >>> from emps_design.machines import machine
     >>> design = design_velocity_loop(machine("emps2018"), crossover=100.0, phase_margin_deg=60.0)
@@ -262,34 +264,34 @@ class VelocityLoopDesign(Viewed):
 
     @property
     def crossover(self) -> float:
-        """Crossover of T_vo [rad/s], achieved."""
+        """Achieved crossover of T_vo [rad/s]."""
         return self._velocity_error[0]
 
     @property
     def phase_margin_deg(self) -> float:
-        """Phase margin of T_vo [deg], achieved."""
+        """Achieved phase margin of T_vo [deg]."""
         return math.degrees(self._velocity_error[1])
 
     @property
     def feasible_phase_margin_deg(self) -> tuple[float, float]:
-        """Open interval of phase margins [deg] that gains can give at the requested crossover, by the closed form."""
+        """Open interval of feasible phase margins [deg] at the requested crossover, by the closed form."""
         axis, crossover = self.axis, self.requested.get("crossover", self.crossover)
         low, high = self.structure.feasible_phase_margin(axis.mechanics.mass, axis.damping, crossover)
         return float(low), float(high)
 
     @cached_property
     def with_lags(self) -> LaggedVelocityLoop:
-        """The same gains in the continuous loop with every lag of the axis."""
+        """The continuous loop with these gains and all lags of the axis."""
         return LaggedVelocityLoop.of(self.axis, self.velocity, self.k_v1, self.t_v, self.structure, self.filters)
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """What the closed forms of ``velocity_error`` and ``plant_input`` leave out besides the sampling."""
+        """What the closed forms of ``velocity_error`` and ``plant_input`` neglect in addition to the sampling."""
         return left_out(self.axis, self.filters)
 
     @cached_property
     def sampled(self) -> SampledVelocityLoop:
-        """The same gains in the sampled loop with hold, delays, current loop, effects and velocity estimator."""
+        """The sampled loop with these gains, hold, delays, current loop, effects and velocity estimator."""
         plant = sample_axis(self.axis, self.velocity, self.filters)
         return SampledVelocityLoop(plant, self.k_v1, self.t_v, self.structure)
 
@@ -306,13 +308,13 @@ class VelocityLoopDesign(Viewed):
             )
             text = (
                 f"retuned: the sampled loop meets the request at the {self.retuned_at.replace('-', ' ')} ({request}); "
-                "crossover, phase margin and bandwidth of T_vo and T_vc are the continuous loop's with these gains"
+                "crossover, phase margin and bandwidth of T_vo and T_vc are those of the continuous loop"
             )
             warnings.append(note("retuned", text))
         elif self.requested.get("bandwidth") is None and self.bandwidth > 1.05 * self.crossover:
             text = (
-                f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, "
-                f"the closed loop's -3 dB lies at {self.bandwidth:.4g} rad/s"
+                f"bandwidth has two meanings: the crossover is {self.crossover:.4g} rad/s, the -3 dB frequency of the "
+                f"closed loop is {self.bandwidth:.4g} rad/s"
             )
             warnings.append(note("two-bandwidths", text, crossover=self.crossover, bandwidth=self.bandwidth))
         warnings.append(ideal_loop_in_words(self.left_out, self.with_lags.velocity_error))
@@ -349,7 +351,7 @@ class VelocityLoopDesign(Viewed):
 
     @cached_property
     def nearest_stable(self) -> dict[str, Any]:
-        """The nearest specification with a stable sampled loop; the request itself if that is stable."""
+        """The nearest specification with a stable sampled loop; the requested one if it is stable."""
         if self.sampled.stable:
             return dict(self.requested)
         return nearest_that_works(self._pairs, self.requested)
@@ -365,59 +367,60 @@ class VelocityLoopDesign(Viewed):
 
     @property
     def reason(self) -> str:
-        """The reason why the design is refused, in one line; empty if the sampled loop is stable."""
+        """The reason why the design must not run, in one line; empty if the sampled loop is stable."""
         if self.sampled.stable:
             return ""
         return (
-            f"the sampled loop with these gains is unstable, its largest pole is {abs(self.sampled.poles[0]):.4g}; "
+            f"the sampled loop with these gains is unstable: its largest pole is {abs(self.sampled.poles[0]):.4g}; "
             f"{self.nearest_in_words}"
         )
 
     def controller_table(self) -> dict[str, Any]:
-        """The ``[controller]`` table of the axis file for this design; the outer loops of a cascade are kept."""
-        own = self.axis.controller
+        """The ``[controller]`` table of the axis file for this design, with the outer loops of its cascade."""
+        controller = self.axis.controller
+        in_a_cascade = controller.kind == cascade.LAW.name
         kind, table = velocity_table(
-            self.k_v1, self.t_v, self.structure, self.filters, own.velocity_estimator, own.kind == cascade.LAW.name
+            self.k_v1, self.t_v, self.structure, self.filters, controller.velocity_estimator, in_a_cascade
         )
         return {"kind": kind.name, **table.model_dump(exclude_none=True, exclude_unset=True)}
 
     @property
     def axis_that_runs(self) -> Axis:
-        """The axis with this velocity loop in its controller; the outer loops of a cascade are kept."""
+        """The axis with this velocity loop in its controller, with the outer loops of its cascade."""
         return self.axis.replace(controller=self.controller_table())
 
     @cached_property
     def refused(self) -> str:
-        """The reason why the whole controller is refused, in one line; empty if all its loops are stable."""
-        kept = self.kept_loops
-        if self.reason or not kept or kept[-1].margins.stable:
+        """The reason why the whole controller must not run, in one line; empty if all its loops are stable."""
+        loops = self.kept_loops
+        if self.reason or not loops or loops[-1].margins.stable:
             return self.reason
         kp = self.axis.controller.parameters["position"]["kp"]
         return (
             f"the axis file's position loop with kp = {kp:g} is unstable around this velocity loop; expected a smaller "
-            "kp, a faster velocity loop, or a position loop made for this one"
+            "kp, a faster velocity loop, or a position loop designed for this one"
         )
 
     @cached_property
     def kept_loops(self) -> tuple[NestedLoop, ...]:
-        """The loops of the axis file's cascade with this velocity loop, the whole last; empty without a cascade.
+        """The loops of the axis file's cascade with this velocity loop, the whole loop last; empty without a cascade.
 
         A position loop designed for a faster velocity loop may be unstable around this one.
         """
-
-        own = self.axis.controller
-        if own.kind != cascade.LAW.name or own.parameters.get("position") is None or not self.sampled.stable:
+        controller = self.axis.controller
+        has_position_loop = controller.kind == cascade.LAW.name and controller.parameters.get("position") is not None
+        if not has_position_loop or not self.sampled.stable:
             return ()
         return nested_loops(self.axis_that_runs, self.velocity)
 
     @property
     def loop_axis(self) -> Axis:
-        """The axis with this velocity loop alone as its controller, without the outer loops of a cascade."""
+        """The axis with only this velocity loop as its controller, without the outer loops of a cascade."""
         kind, table = velocity_table(
             self.k_v1, self.t_v, self.structure, self.filters, self.axis.controller.velocity_estimator
         )
-        own = {"kind": kind.name, **table.model_dump(exclude_none=True)}
-        return self.axis.replace(controller=Controller.model_validate(own))
+        controller = {"kind": kind.name, **table.model_dump(exclude_none=True)}
+        return self.axis.replace(controller=Controller.model_validate(controller))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI units, angles in degrees."""
@@ -456,7 +459,7 @@ class VelocityLoopDesign(Viewed):
         }
 
     def view(self) -> View:
-        """What ``gains`` shows of the loop itself."""
+        """The lines and tables on the velocity loop, as in the command ``gains``."""
         return velocity_loop_view(self.to_dict(), self.axis.units)
 
 
@@ -472,10 +475,10 @@ def design_velocity_loop(
 ) -> VelocityLoopDesign:
     """Return the velocity loop of ``axis`` that meets a specification, by (7) or its counterpart for "pi".
 
-    Give ``crossover`` [rad/s] of T_vo or ``bandwidth`` [rad/s], the -3 dB of T_vc, not both; ``phase_margin_deg`` is
-    that of T_vo. The effects of the axis are linearised at ``velocity`` [m/s] for the sampled loop. ``structure`` and
-    ``filters`` None: those of the axis's controller. Raises :class:`InputError` for an invalid specification,
-    :class:`SpecificationError` for one that no gains can meet, with the nearest pair that works.
+    Give ``crossover`` [rad/s] of T_vo or ``bandwidth`` [rad/s], the -3 dB frequency of T_vc, not both;
+    ``phase_margin_deg`` is that of T_vo. For the sampled loop the effects of the axis are linearised at ``velocity``
+    [m/s]. ``structure`` and ``filters`` default to those of the axis's controller. Raises :class:`InputError` for an
+    invalid specification, :class:`SpecificationError` with the nearest pair that works if no gains can meet it.
 
     >>> from emps_design.machines import machine
     >>> by_bandwidth = design_velocity_loop(machine("emps2018"), bandwidth=159.898, phase_margin_deg=60.0)

@@ -1,16 +1,17 @@
 """Closed forms of the velocity loop: gains from a specification, (7) and (9), in both structures, IP and PI.
 
-Functions that raise no error take arrays (n,) in place of numbers.
+Functions that raise no error accept arrays (n,) in place of numbers.
 
 IP, as in the paper, has its proportional part on the measured velocity, u = k_v1 (e/(t_v s) - qd), (6) to (9). PI, as
-in servo drives, has it on the velocity error e, u = k_v1 (1 + 1/(t_v s)) e. Broken at the plant input the two are one
-loop, with the same poles and the same response to a disturbance; the reference of PI acts through an additional zero:
+in servo drives, has it on the velocity error e, u = k_v1 (1 + 1/(t_v s)) e. Broken at the plant input the two loops are
+the same, with the same poles and the same response to a disturbance; the reference of PI acts through an additional
+zero:
 
     T_vc(s) = (1 + t_v s) / (1 + (t_v + F_v/K_v) s + M/K_v s^2)
 
 so with the same gains its step response is faster and overshoots more. A reference filter 1/(1 + t_v s) cancels the
-zero, which leaves (8). Broken at the velocity error PI is the loop at the plant input, so its gains for a crossover and
-a phase margin differ from those of (7). ``derive`` has the steps.
+zero, which gives (8). The loop of PI broken at the velocity error is that at the plant input, so its gains for a
+crossover and a phase margin differ from those of (7). ``derive`` shows the steps.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ def plant_input_gain(mass: float, viscous: float, crossover: Any, phase_margin_d
 
 
 def canonical_form(crossover: Any, phase_margin_deg: Any) -> tuple[Any, Any]:
-    """Return omega_0v [rad/s] and z_v [-] of (9); they depend on the specification alone, not on the machine.
+    """Return omega_0v [rad/s] and z_v [-] of (9); they depend on the specification only, not on the machine.
 
     >>> w0, z = canonical_form(100.0, 60.0)
     >>> round(float(w0), 2), round(float(z), 5)
@@ -141,18 +142,18 @@ def binding_limit(phase_margin_deg: float) -> str:
     """Return which end of the feasible range a phase margin [deg] outside it violates.
 
     >>> binding_limit(90.0)
-    'the upper limit binds, at 90 deg k_v1 is infinite'
+    'the upper limit binds: at 90 deg k_v1 is infinite'
     """
     if phase_margin_deg >= 90.0:
-        return "the upper limit binds, at 90 deg k_v1 is infinite"
-    return "the lower limit binds, below atan(F_v/(M w)) k_v1 is not positive"
+        return "the upper limit binds: at 90 deg k_v1 is infinite"
+    return "the lower limit binds: below atan(F_v/(M w)) k_v1 is not positive"
 
 
 @dataclass(frozen=True)
 class Structure:
     """One structure: its ``form``, "ip" or "pi", and whether a reference filter 1/(1 + t_v s) precedes a "pi".
 
-    The methods take arrays in place of numbers.
+    The methods accept arrays in place of numbers.
 
     >>> K, t_v = PI.gains(2.0, 1.0, 10.0, 45.0)
     >>> round(float(abs(K * (1 + 1 / (t_v * 10j)) / (2.0 * 10j + 1.0))), 9)
@@ -166,7 +167,7 @@ class Structure:
         if self.form not in FORMS:
             raise InputError(f"structure: found {self.form!r}, expected {' or '.join(FORMS)}")
         if self.form == "ip" and self.reference_filter:
-            raise InputError("reference filter: found one with structure 'ip', which has no zero to take away")
+            raise InputError("reference filter: found one with structure 'ip', which has no zero to cancel")
 
     @property
     def label(self) -> str:
@@ -175,7 +176,7 @@ class Structure:
 
     @property
     def largest_phase_margin(self) -> float:
-        """The phase margin [deg] from which no plant has gains, at any crossover."""
+        """Upper bound [deg] of the feasible phase margins over all plants and crossovers."""
         return 90.0 if self.form == "ip" else 180.0
 
     @property
@@ -192,7 +193,7 @@ class Structure:
         return t_v if self.form == "pi" and not self.reference_filter else 0.0
 
     def feasible_phase_margin(self, mass: float, viscous: float, crossover: Any) -> tuple[Any, Any]:
-        """Open interval of phase margins [deg] that have gains at ``crossover`` [rad/s].
+        """Open interval of feasible phase margins [deg] at ``crossover`` [rad/s].
 
         At the lower end k_v1 is 0; at the upper one k_v1 of "ip" is infinite and 1/t_v of "pi" is 0.
 
@@ -205,7 +206,7 @@ class Structure:
     def binding_limit(self, phase_margin_deg: float) -> str:
         """Return which end of the feasible range a phase margin [deg] outside it violates."""
         if self.form == "pi" and phase_margin_deg >= 90.0:
-            return "the upper limit binds, at 90 deg and atan(F_v/(M w)) more the integral action is gone"
+            return "the upper limit binds: at 90 deg + atan(F_v/(M w)) there is no integral action"
         return binding_limit(phase_margin_deg)
 
     def gains(self, mass: Any, viscous: Any, crossover: Any, phase_margin_deg: Any) -> tuple[Any, Any]:
@@ -221,7 +222,7 @@ class Structure:
         return second_order_bandwidth(omega_0v, z_v, self.zero(t_v))
 
     def crossover_of_bandwidth(self, mass: float, viscous: float, bandwidth: Any, phase_margin_deg: Any) -> Any:
-        """Crossover [rad/s] at which the closed loop has that -3 dB ``bandwidth`` [rad/s]; NaN if no gains have it.
+        """Crossover [rad/s] of the loop with that -3 dB ``bandwidth`` [rad/s]; NaN if there are no such gains.
 
         >>> w = PI.crossover_of_bandwidth(2.0, 1.0, 50.0, 60.0)
         >>> K, t_v = PI.gains(2.0, 1.0, w, 60.0)
@@ -262,11 +263,11 @@ STRUCTURES = (IP, PI, PI_WITH_REFERENCE_FILTER)
 
 @dataclass(frozen=True)
 class VelocityLoopSweep:
-    """Arrays of one shape, NaN where there are no gains; units as in the scalar design.
+    """Arrays of one shape, NaN where no gains exist; units as in the scalar design.
 
     ``k_v1`` [V/(m/s)], ``t_v`` [s], ``K_v`` [N/m], ``omega_0v`` [rad/s], ``z_v``, ``bandwidth`` [rad/s] of T_vc;
     ``plant_input_phase_margin_deg`` [deg], ``plant_input_crossover`` [rad/s] and ``delay_margin`` [s] of the continuous
-    loop broken at the plant input; ``feasible`` is True where there are gains.
+    loop broken at the plant input; ``feasible`` is True where gains exist.
     """
 
     crossover: np.ndarray
@@ -292,7 +293,7 @@ def sweep_velocity_loop(
 ) -> VelocityLoopSweep:
     """Design by (7), or its counterpart for "pi", for pairs of ``crossover`` [rad/s] and ``phase_margin_deg`` [deg].
 
-    The two broadcast. A pair that cannot be met gives NaN and ``feasible`` False; :class:`InputError` for crossovers
+    The two broadcast. An infeasible pair gives NaN and ``feasible`` False. Raises :class:`InputError` for crossovers
     that are not positive numbers.
 
     >>> from emps_design.machines import machine
@@ -319,7 +320,7 @@ def sweep_velocity_loop(
 
 
 def filter_from_text(text: str) -> cascade.Filter | str:
-    """A filter of the command from its text, such as "notch:48Hz"; "none" stays.
+    """A command filter from its text, such as "notch:48Hz"; "none" is returned as such.
 
     >>> filter_from_text("notch:48Hz:0.6:0.2").depth, filter_from_text("none")
     (0.2, 'none')
@@ -342,7 +343,7 @@ def filter_from_text(text: str) -> cascade.Filter | str:
 
 
 def own_structure(axis: Axis, structure: Structure | str | None = None) -> Structure:
-    """Return ``structure``, also by its name; if None that of the controller of ``axis``: IP except for a cascade.
+    """Return ``structure``, also given by name; if None that of the controller of ``axis``, IP except for a cascade.
 
     >>> from emps_design.machines import machine
     >>> own_structure(machine("emps2018"), "pi").label, own_structure(machine("emps2018")).label
@@ -350,28 +351,28 @@ def own_structure(axis: Axis, structure: Structure | str | None = None) -> Struc
     """
     if isinstance(structure, str):
         return Structure(structure)
-    own = _cascade(axis) if structure is None else None
-    return structure or (Structure(own.velocity.form) if own else IP)
+    table = _cascade(axis) if structure is None else None
+    return structure or (Structure(table.velocity.form) if table else IP)
 
 
 def own_filters(axis: Axis, filters: Sequence[cascade.Filter | str] | None = None) -> tuple[cascade.Filter, ...]:
-    """Return ``filters``, also as text such as "notch:48Hz"; if None those of the controller of ``axis``, if any.
+    """Return ``filters``, also given as text such as "notch:48Hz"; if None those of the controller of ``axis``.
 
     >>> from emps_design.machines import machine
     >>> [stage.frequency for stage in own_filters(machine("emps2018"), ["notch:48Hz", "lowpass:350Hz"])]
     [48.0, 350.0]
     """
     if filters is None:
-        own = _cascade(axis)
-        return own.filters if own else ()
+        table = _cascade(axis)
+        return table.filters if table else ()
     read = [filter_from_text(stage) if isinstance(stage, str) else stage for stage in filters]
     return tuple(stage for stage in read if isinstance(stage, cascade.Filter))
 
 
 def own_gains(axis: Axis) -> tuple[float, float] | None:
     """k_v1 [V/(m/s)] and t_v [s] of the velocity loop of the controller of ``axis``; None if it has none."""
-    own = _cascade(axis)
-    k_v1, t_v = (own.velocity.kp, own.velocity.ti) if own else (axis.controller.k_v1, axis.controller.t_v)
+    table = _cascade(axis)
+    k_v1, t_v = (table.velocity.kp, table.velocity.ti) if table else (axis.controller.k_v1, axis.controller.t_v)
     return None if k_v1 is None or t_v is None else (k_v1, t_v)
 
 

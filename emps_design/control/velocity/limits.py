@@ -1,14 +1,14 @@
-"""Gains with which the sampled loop meets its specification, its largest crossover, and what limits it.
+"""Gains with which the sampled loop meets its specification, its largest crossover, and the binding limit.
 
-The crossover is raised at constant phase margin, with the retuned gains, until the sampled loop no longer has the
-margins :data:`GAIN_MARGIN` and :data:`~emps_design.control.velocity.specification.ROOM`, or the command exceeds its
-limit. The cause is a resonance if the loop reaches its limit close to one, and otherwise the lag of hold, delay,
-current loop, estimator and filters, called delay.
+The crossover is increased at constant phase margin, with retuned gains, until the sampled loop violates the margins
+:data:`GAIN_MARGIN` and :data:`~emps_design.control.velocity.specification.ROOM`, or the command exceeds its limit. The
+cause is a resonance if the loop reaches its limit near one; otherwise it is the lag of hold, delay, current loop,
+estimator and filters, called delay.
 
 Retuned gains solve two linear equations. At one frequency the open loop at the plant input is k_v1 P + (k_v1/t_v) c
 P, with P the sampled plant including hold, delays, current loop and velocity estimator, and c = T z/(z - 1) the
-integrator. Asking it to be -exp(j phi) at the crossover is two real equations, linear in k_v1 and k_v1/t_v. The same
-holds for the loop broken at the velocity error.
+integrator. It must be -exp(j phi) at the crossover: two real equations, linear in k_v1 and k_v1/t_v. The same holds for
+the loop broken at the velocity error.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ from emps_design.errors import InputError, SpecificationError
 from emps_design.laws.library.cascade import Filter
 from emps_design.request import typed
 
-RETUNE_GRID = 240  # crossovers tried for one bandwidth, at equal ratios
-BANDWIDTH_CLOSE = 1.0 + 2.8e-11  # ratio of two bandwidths that are alike
+RETUNE_GRID = 240  # number of crossovers on the grid for one bandwidth
+BANDWIDTH_CLOSE = 1.0 + 2.8e-11  # ratio of the ends of the bracket at which the search for a bandwidth ends
 
 GAIN_MARGIN = 2.0
-INTEGRAL = 10.0  # largest crossover times integral time: beyond, a constant force is hardly compensated
-NOISE = 0.05  # of the command's limit: largest rms of the command due to encoder quantisation
-DELAY = "delay: hold, delay, current loop, estimator and filters leave no more phase"
-PAYS = 1.1  # factor by which a filter has to raise the crossover to be proposed
+INTEGRAL = 10.0  # largest crossover times integral time; above it a constant force is hardly compensated
+NOISE = 0.05  # largest rms of the command due to encoder quantisation, as a share of the command limit
+DELAY = "delay: hold, delay, current loop, estimator and filters use up the phase"
+PAYS = 1.1  # least factor on the crossover for which a filter is proposed
 GRID = 160
-SLOWEST = 0.05  # of the fastest loop's crossover: the lowest one at which limits are checked
-COARSE, CLOSE = 12, 0.005  # crossovers at which a limit is checked, and relative accuracy of its ends
+SLOWEST = 0.05  # lowest crossover at which limits are checked, as a share of the largest
+COARSE, CLOSE = 12, 0.005  # number of crossovers at which a limit is checked, and relative accuracy of its ends
 NOTCHES = ((0.3, 0.1), (0.7, 0.1), (0.7, 0.3))  # damping and depth
-LOWPASSES = (2.0, 4.0, 8.0)  # corners, in crossovers
+LOWPASSES = (2.0, 4.0, 8.0)  # corner frequencies, as multiples of the crossover
 
 
 class PlantResponse(Protocol):
-    """A plant at the samples, computed or measured, up to the velocity that its law estimates."""
+    """A sampled plant, computed or measured, from the command to the estimated velocity."""
 
     @property
     def period(self) -> float:
@@ -140,7 +140,7 @@ def retune_velocity_loop(
         resonance = plant.resonance_beside(again)
         if resonance is not None:
             hertz = 2.0 * math.pi
-            reason += f", at {again / hertz:.4g} Hz beside the resonance at {resonance / hertz:.4g} Hz, which binds"
+            reason += f": at {again / hertz:.4g} Hz, near the resonance at {resonance / hertz:.4g} Hz"
     else:
         reason = _limit(plant, requested, at, structure)
     nearest = nearest_that_works(pairs, requested)
@@ -201,57 +201,55 @@ def bandwidth_gains(
     """
     B, phase = np.broadcast_arrays(np.asarray(bandwidth, float), np.asarray(phase_margin_deg, float))
 
-    def over(w: np.ndarray, B: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """Gain of the closed loop with crossover ``w`` at ``B``, less that at -3 dB."""
+    def excess_gain(w: np.ndarray, B: np.ndarray, phase: np.ndarray) -> np.ndarray:
+        """Gain of the closed loop with crossover ``w`` at ``B``, minus -3 dB as a ratio."""
         loops = SampledVelocityLoop(plant, *retuned_gains(plant, w, phase, at), structure)
         with np.errstate(invalid="ignore"):
             return np.abs(loops.closed_loop_response(B)) - MINUS_3_DB
 
     nyquist = 0.999 * math.pi / plant.period
-    k_found, t_found = np.full(B.size, np.nan), np.full(B.size, np.nan)
+    k_v1_of, t_v_of = np.full(B.size, np.nan), np.full(B.size, np.nan)
     lowest, highest = B / 50.0, np.minimum(100.0 * B, nyquist)
     inside = np.flatnonzero((lowest < highest) & (nyquist > B))
     shares = np.linspace(0.0, 1.0, RETUNE_GRID)
     grid = lowest[inside, None] * (highest[inside] / lowest[inside])[:, None] ** shares
-    excess = over(grid, B[inside, None], phase[inside, None])
+    excess = excess_gain(grid, B[inside, None], phase[inside, None])
     rising = (excess[:, :-1] < 0.0) & (excess[:, 1:] >= 0.0)
     falling = (excess[:, :-1] >= 0.0) & (excess[:, 1:] < 0.0)
     for way, turn in itertools.product((rising, falling), range(1, 4)):  # the first crossing whose loop is stable
         here = way & (np.cumsum(way, axis=1) == turn)
         rows, places = np.nonzero(here)
-        todo = np.isnan(k_found[inside[rows]])
-        rows, places = rows[todo], places[todo]
+        missing = np.isnan(k_v1_of[inside[rows]])
+        rows, places = rows[missing], places[missing]
         if not rows.size:
             continue
-        who = inside[rows]
+        which = inside[rows]
         low, high = grid[rows, places], grid[rows, places + 1]
         for _ in range(50):
             middle = np.sqrt(low * high)
-            below = (over(middle, B[who], phase[who]) < 0.0) == (way is rising)
+            below = (excess_gain(middle, B[which], phase[which]) < 0.0) == (way is rising)
             low, high = np.where(below, middle, low), np.where(below, high, middle)
-        k_v1, t_v = retuned_gains(plant, high, phase[who], at)
+        k_v1, t_v = retuned_gains(plant, high, phase[which], at)
         good = sweep_stability(plant, k_v1, t_v)
-        k_found[who[good]], t_found[who[good]] = k_v1[good], t_v[good]
-    return k_found, t_found
+        k_v1_of[which[good]], t_v_of[which[good]] = k_v1[good], t_v[good]
+    return k_v1_of, t_v_of
 
 
 def _limit(plant: SampledPlant, requested: dict[str, float], at: str, structure: Structure) -> str:
     """Return which limit binds, from the plant's phase at the crossover."""
     if not 0.0 < requested["phase_margin_deg"] < 180.0:
-        return "a phase margin lies between 0 and 180 deg"
+        return "a phase margin must be between 0 and 180 deg"
     place = structure.place(at)
     if "bandwidth" in requested:
         most = _largest_bandwidth(plant, requested["phase_margin_deg"], place, structure)
         if requested["bandwidth"] > most > 0.0:
-            return (
-                f"with that phase margin at the {at.replace('-', ' ')} the bandwidth reaches {most:.5g} rad/s at most"
-            )
-        return "the gains would not be positive, or the loop with them unstable"
+            return f"with that phase margin at the {at.replace('-', ' ')} the largest bandwidth is {most:.5g} rad/s"
+        return "the gains would not be positive, or the loop would be unstable"
     if place != "plant-input":
-        return "the gains would not be positive, or the loop with them unstable"
+        return "the gains would not be positive, or the loop would be unstable"
     w, phase = requested["crossover"], requested["phase_margin_deg"]
     if w >= math.pi / plant.period:
-        return f"the crossover lies beyond the Nyquist frequency, {math.pi / plant.period:.5g} rad/s"
+        return f"the crossover is above the Nyquist frequency, {math.pi / plant.period:.5g} rad/s"
     grid = np.geomspace(1e-5 * w, w, 2000)
     plant_phase = math.degrees(np.unwrap(np.angle(plant.response(grid)))[-1])
     low, high = 90.0 + plant_phase + math.degrees(0.5 * w * plant.period), 180.0 + plant_phase
@@ -284,7 +282,7 @@ def _largest_bandwidth(plant: SampledPlant, phase_margin_deg: float, at: str, st
 
 @dataclass(frozen=True)
 class Reach:
-    """The fastest loop with a phase margin: ``crossover`` [rad/s] (0: none), gains, and the ``limit`` that binds."""
+    """The fastest loop with a phase margin: ``crossover`` [rad/s] (0: none), gains, and the binding ``limit``."""
 
     crossover: float
     k_v1: float
@@ -295,9 +293,9 @@ class Reach:
 def reach(
     plant: SampledPlant, phase_margin_deg: float, gain_margin: float = GAIN_MARGIN, disk_margin: float = 0.0
 ) -> Reach:
-    """Return the fastest sampled loop around ``plant`` with that phase margin at the plant input and other margins.
+    """Return the fastest sampled loop around ``plant`` with that phase margin at the plant input.
 
-    ``gain_margin`` [ratio] and ``disk_margin`` are the least that it may have.
+    Its gain margin [ratio] is at least ``gain_margin``, its disk margin at least ``disk_margin``.
 
     >>> from emps_design.machines import machine
     >>> fastest = reach(sample_axis(machine("emps2018")), 60.0)
@@ -307,7 +305,7 @@ def reach(
     nyquist = math.pi / plant.period
     best = Reach(0.0, math.nan, math.nan, DELAY)
     low, high = 1e-4 * nyquist, 0.9 * nyquist
-    for _ in range(2):  # all frequencies, then around the limit
+    for _ in range(2):  # over all frequencies, then near the limit
         w = np.geomspace(low, high, GRID)
         k_v1, t_v = retuned_gains(plant, w, phase_margin_deg)
         margins = sweep_sampled_margins(plant, k_v1, t_v, 200, exact_delay=False)
@@ -321,7 +319,7 @@ def reach(
         last = int(np.flatnonzero(good)[-1])
         after = min(last + 1, GRID - 1)
         beyond = SampledVelocityLoop(plant, float(k_v1[after]), float(t_v[after]))
-        limit = _what_ends(
+        limit = _binding_limit(
             plant, gain_margin, w[after], {key: values[after] for key, values in margins.items()}, beyond
         )
         best = Reach(float(w[last]), float(k_v1[last]), float(t_v[last]), limit)
@@ -330,15 +328,15 @@ def reach(
 
 
 def _disk_margins(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
-    """Disk margins (n,) of stable loops, on a grid that is fine where the plant resonates."""
+    """Disk margins (n,) of stable loops, on a grid that is refined at resonances."""
     loops = SampledVelocityLoop(plant, k_v1[:, None], t_v[:, None])
     return 1.0 / disk_size(loops.plant_input_response(plant.frequencies(1000))).max(axis=1)
 
 
-def _what_ends(
+def _binding_limit(
     plant: SampledPlant, gain_margin: float, w: float, margins: dict[str, float], loop: SampledVelocityLoop
 ) -> str:
-    """Return the limit that the first too fast ``loop`` violates: a resonance near that frequency, or delay."""
+    """Return the limit that ``loop``, the first one beyond it, violates: a resonance near its crossover, or delay."""
     at = w
     if margins["stable"]:
         if margins["crossover"] > 1.05 * w:
@@ -355,12 +353,13 @@ def _what_ends(
 def limits(
     axis: Axis, plant: SampledPlant, fastest: Reach, phase_margin_deg: float, structure: Structure, velocity: float
 ) -> dict[str, Any]:
-    """Return the crossover [rad/s] at which each limit binds, and the one that binds first.
+    """Return the crossover [rad/s] at which each limit binds, and the limit that binds first.
 
-    ``loop`` is that of the ``fastest`` loop; ``encoder_noise``: the rms of the command reaches :data:`NOISE` of its
-    limit; ``voltage``: a step of the reference by ``velocity`` [m/s] reaches the limit; None if a limit does not bind
-    below the fastest. The command of a step may fall again in a faster loop and so bind in a range only: ``binding``
-    names it. The check starts at :data:`SLOWEST` of the fastest crossover; what binds there binds below too.
+    ``loop`` is the crossover of the ``fastest`` loop. ``encoder_noise``: the rms of the command reaches :data:`NOISE`
+    of its limit. ``voltage``: the command in a step of the reference by ``velocity`` [m/s] reaches its limit. None if a
+    limit does not bind below the fastest loop. The command of a step may decrease again in a faster loop, so this limit
+    may bind in a range only, which ``binding`` gives. The check starts at :data:`SLOWEST` of the fastest crossover; a
+    limit that binds there also binds below.
     """
     ends: dict[str, float | None] = {"encoder_noise": None, "voltage": None}
     if not fastest.crossover:
@@ -376,16 +375,16 @@ def limits(
         candidate = loop(w)
         return candidate is not None and encoder_voltage_noise(axis, candidate)["rms"] > NOISE * limit
 
-    def too_much(w: float) -> bool:
+    def saturates(w: float) -> bool:
         candidate = loop(w)
         return candidate is not None and command_in_a_step(axis, candidate, abs(velocity)) > limit
 
     grid = np.geomspace(SLOWEST * fastest.crossover, fastest.crossover, COARSE)
     step = axis.units.quantity(abs(velocity), "m/s", "g")
-    noise, voltage = _exceeded(noisy, grid), _exceeded(too_much, grid)
+    noise, voltage = _exceeded(noisy, grid), _exceeded(saturates, grid)
     named = {
-        f"encoder noise: more than {100.0 * NOISE:g} % of the limit of the command": noise,
-        f"{axis.units.word('voltage')}: a step of {step} takes more than the limit": voltage,
+        f"encoder noise: more than {100.0 * NOISE:g} % of the command limit": noise,
+        f"{axis.units.word('voltage')}: a step of {step} exceeds the limit": voltage,
         fastest.limit: (fastest.crossover, None),
     }
     ranges = ((name, where) for name, where in named.items() if where is not None)
@@ -397,7 +396,10 @@ def limits(
 
 
 def _exceeded(exceeds: Callable[[float], bool], grid: np.ndarray) -> tuple[float, float | None] | None:
-    """Return where along ``grid`` (n,) a limit is first exceeded, and up to where (None: the end); None if nowhere."""
+    """Return the first range along ``grid`` (n,) in which a limit is exceeded; an end of None is that of the grid.
+
+    None if the limit is not exceeded.
+    """
     there = [exceeds(float(w)) for w in grid]
     if True not in there:
         return None
@@ -425,9 +427,9 @@ def suggest_filter(
     """Return the limits of the loop of ``axis`` at that phase margin, and the additional filter that helps most.
 
     ``without`` and ``with`` have the largest crossover [rad/s] within the same limits of the margins, the binding limit
-    and the noise of the command. ``with_equal_margins`` has the crossover with the filter and gain and disk margin no
-    less than ``without`` the filter, which may be far above the limits. ``filter`` is the one that raises the crossover
-    most at equal margins, of those that raise it by :data:`PAYS` within the limits; None if there is none.
+    and the noise of the command. ``with_equal_margins`` has the largest crossover with the filter and at least the gain
+    and disk margin of ``without``, which may be far above the limits. ``filter`` is the one with the largest crossover
+    at equal margins, among those that increase it by :data:`PAYS` within the limits; None if there is none.
 
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
@@ -436,17 +438,17 @@ def suggest_filter(
     ('notch', True)
     """
     plant = sample_axis(axis, velocity, filters)
-    own = reach(plant, phase_margin_deg)
-    kept = SampledVelocityLoop(plant, own.k_v1, own.t_v).margins if own.crossover else None
+    without = reach(plant, phase_margin_deg)
+    margins = SampledVelocityLoop(plant, without.k_v1, without.t_v).margins if without.crossover else None
     equal = {"gain_margin": GAIN_MARGIN, "disk_margin": 0.0}
-    if kept is not None:
-        equal = {"gain_margin": kept.gain_margin or GAIN_MARGIN, "disk_margin": kept.disk_margin or 0.0}
+    if margins is not None:
+        equal = {"gain_margin": margins.gain_margin or GAIN_MARGIN, "disk_margin": margins.disk_margin or 0.0}
     # The filter, the plant with it, the fastest loop within the limits, and the fastest with the margins of no filter.
     best: tuple[Filter, SampledPlant, Reach, Reach] | None = None
-    for candidate in _candidates(plant, own.crossover):
+    for candidate in _candidates(plant, without.crossover):
         filtered = sample_axis(axis, velocity, (*filters, candidate))
         within = reach(filtered, phase_margin_deg)
-        if within.crossover > PAYS * own.crossover:
+        if within.crossover > PAYS * without.crossover:
             alike = reach(filtered, phase_margin_deg, **equal)
             if best is None or alike.crossover > best[3].crossover:
                 best = candidate, filtered, within, alike
@@ -466,7 +468,7 @@ def suggest_filter(
     return {
         "phase_margin_deg": phase_margin_deg,
         "gain_margin_at_least": GAIN_MARGIN,
-        "without": document(own, plant),
+        "without": document(without, plant),
         "filter": best[0].model_dump(exclude_none=True) if best else None,
         "with_equal_margins": document(best[3], best[1]) if best else None,
         "with": document(best[2], best[1]) if best else None,
@@ -474,15 +476,15 @@ def suggest_filter(
 
 
 def faster_in_words(loop: SampledVelocityLoop, phase_margin_deg: float, fastest: float | None) -> str:
-    """Return which limits a stable ``loop`` with a crossover above ``fastest`` [rad/s] exceeds; empty if none.
+    """Return the limits that a stable ``loop`` with a crossover above ``fastest`` [rad/s] violates; "" if none.
 
-    ``fastest`` is the largest crossover within the limits at that phase margin, None for none.
+    ``fastest`` is the largest crossover within the limits at that phase margin, None if there is none.
 
     >>> from emps_design.machines import machine
     >>> plant = sample_axis(machine("emps2018"))
     >>> k_v1, t_v = (float(gain) for gain in retuned_gains(plant, 240.0, 60.0))
     >>> faster_in_words(SampledVelocityLoop(plant, k_v1, t_v), 60.0, reach(plant, 60.0).crossover)
-    'these gains cross over at 240 rad/s, faster than the fastest within the limits: crossover times t_v 16.1, above 10'
+    'the crossover of 240 rad/s is above the largest within the limits: crossover times t_v 16.1, above 10'
     """
     margins = loop.margins
     if margins.crossover is None or (fastest is not None and margins.crossover <= fastest * (1.0 + CLOSE)):
@@ -493,13 +495,13 @@ def faster_in_words(loop: SampledVelocityLoop, phase_margin_deg: float, fastest:
     if margins.phase_margin_deg is not None and margins.phase_margin_deg < phase_margin_deg - 1e-3:
         beyond.append(f"phase margin {margins.phase_margin_deg:.3g} deg at the plant input, below {phase_margin_deg:g}")
     if margins.delay_margin_samples is not None and margins.delay_margin_samples < ROOM:
-        beyond.append(f"room for {margins.delay_margin_samples:.2g} samples of delay, below {ROOM:g}")
+        beyond.append(f"delay margin {margins.delay_margin_samples:.2g} samples, below {ROOM:g}")
     if loop.t_v * margins.crossover > INTEGRAL:
         beyond.append(f"crossover times t_v {loop.t_v * margins.crossover:.3g}, above {INTEGRAL:g}")
     if not beyond:
         return ""
-    at = f"these gains cross over at {margins.crossover:.4g} rad/s, faster than the fastest within the limits"
-    return f"{at}: {' and '.join(beyond)}"
+    above = f"the crossover of {margins.crossover:.4g} rad/s is above the largest within the limits"
+    return f"{above}: {' and '.join(beyond)}"
 
 
 def first_try(axis: Axis, crossover: float, kind: str) -> Filter:
@@ -521,7 +523,7 @@ def first_try(axis: Axis, crossover: float, kind: str) -> Filter:
 
 
 def _candidates(plant: SampledPlant, crossover: float) -> list[Filter]:
-    """Return filters to try: notches at the resonances of the sampled plant, and low-passes above the crossover."""
+    """Return candidate filters: notches at the resonances of the sampled plant, low-passes above the crossover."""
     T, filters = plant.period, []
     for w, _ in plant.resonances:
         if w * T < 0.9 * math.pi:

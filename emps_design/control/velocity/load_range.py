@@ -5,7 +5,7 @@ middle. If the axis has a second mass behind a coupling, the change of inertia i
 and crossover are those of the loop broken where the specification applies: at the velocity error for gains of (7), at
 the place of retuning for retuned ones. Gain and delay margin are those at the plant input, where both act.
 
-Under a mismatch of the model the same gains run on other plants; the gains that (7) gives for those plants are listed.
+Under a mismatch of the model the same gains run on other plants; the gains of (7) for these plants are listed too.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from emps_design.control.velocity.specification import ROOM
 from emps_design.errors import InputError
 from emps_design.tables import FACTORS
 
-COUPLING = {"frequency", "damping", "share"}  # parameters of an effect that splits the mass by a spring
-MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg above the requested phase margin, tried for the load with the largest one
+COUPLING = {"frequency", "damping", "share"}  # parameters of an effect with a second mass behind a spring
+MORE_PHASE = np.arange(0.0, 31.0, 3.0)  # deg above the requested phase margin, for the design at one end of the range
 CROSSOVERS = 60
 CLOSE = 1.17  # ratio of two neighbours on a grid of that many crossovers up to Nyquist
-ENOUGH = (3, 9, 5, 3)  # steps of a range in which none, one, two or three quantities vary
-MOST_DELAY = 1000  # samples, the same limit as for an axis's own computation delay
-EQUAL = 0.02  # share of the crossover that is traded for more integral action
+ENOUGH = (3, 9, 5, 3)  # steps per quantity if none, one, two or three quantities vary
+MOST_DELAY = 1000  # samples, the limit for the computation delay of an axis
+EQUAL = 0.02  # share of the crossover that may be given up for more integral action
 
 PARAMETERS = {"mass": "mechanics", "viscous": "mechanics", "force_gain": "drive"}
 
@@ -52,17 +52,19 @@ class LoadRange:
         for name, (low, high) in vars(self).items():
             least = 0.0 if name == "delay" else 1e-3
             if not least <= low <= high < math.inf:
-                raise InputError(f"range of {name}: found {low:g} to {high:g}, expected {least:g} or more, rising")
+                raise InputError(
+                    f"range of {name}: found {low:g} to {high:g}, expected a rising range from {least:g} on"
+                )
 
     @property
     def enough(self) -> int:
-        """Number of steps per quantity that shows instability between the ends; fewer if more quantities vary."""
+        """Steps per quantity that suffice to find instability within the range; fewer if more quantities vary."""
         return ENOUGH[sum(low < high for low, high in vars(self).values())]
 
     def points(self, count: int = 3) -> list[dict[str, float]]:
-        """Every combination of 3, 5, 9 ... steps of each: the ends, the middle, and the middles between those."""
+        """Every combination of 3, 5, 9 ... steps of each quantity: the ends, the middle, and the middles between."""
 
-        def tried(low: float, high: float) -> list[float]:
+        def steps_of(low: float, high: float) -> list[float]:
             steps = [low, high] if low < high else [low]
             while 1 < len(steps) < count:
                 pairs = list(itertools.pairwise(steps))
@@ -73,14 +75,14 @@ class LoadRange:
         names = tuple(vars(self))
         return [
             dict(zip(names, combination, strict=True))
-            for combination in itertools.product(*(tried(*ends) for ends in vars(self).values()))
+            for combination in itertools.product(*(steps_of(*ends) for ends in vars(self).values()))
         ]
 
 
 def loaded(axis: Axis, inertia: float, compliance: float) -> Axis:
-    """Return ``axis`` with its inertia and the compliance of its coupling times these factors.
+    """Return ``axis`` with these factors on its inertia and on the compliance of its coupling.
 
-    Raises :class:`InputError` for a compliance without a coupling, and an inertia below that before the coupling.
+    Raises :class:`InputError` for a compliance without a coupling, and for an inertia below that before the coupling.
 
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 50.0, "damping": 0.02, "share": 0.5}]
@@ -89,11 +91,11 @@ def loaded(axis: Axis, inertia: float, compliance: float) -> Axis:
     [40.825, 0.75]
     """
     mass = axis.mechanics.mass
-    effects, bent = [], False
+    effects, has_coupling = [], False
     for entry in axis.effects:
         parameters = dict(entry.parameters)
         if set(parameters) >= COUPLING:
-            share, w, bent = parameters["share"], 2.0 * math.pi * parameters["frequency"], True
+            share, w, has_coupling = parameters["share"], 2.0 * math.pi * parameters["frequency"], True
             before, reduced = mass * (1.0 - share), mass * share * (1.0 - share)
             behind = inertia * mass - before
             if behind <= 0.0:
@@ -101,26 +103,29 @@ def loaded(axis: Axis, inertia: float, compliance: float) -> Axis:
                     f"range of inertia: found {inertia:g}, expected more than {1.0 - share:g}, the share of the "
                     "inertia before the coupling"
                 )
-            now = before * behind / (before + behind)
-            own = w * math.sqrt(reduced / (compliance * now))
-            damping = parameters["damping"] * reduced * w / (now * own)
-            parameters |= {"share": behind / (inertia * mass), "frequency": own / (2.0 * math.pi), "damping": damping}
+            new_reduced = before * behind / (before + behind)
+            new_w = w * math.sqrt(reduced / (compliance * new_reduced))
+            damping = parameters["damping"] * reduced * w / (new_reduced * new_w)
+            parameters |= {"share": behind / (inertia * mass), "frequency": new_w / (2.0 * math.pi), "damping": damping}
         effects.append({"kind": entry.kind, **parameters})
-    if compliance != 1.0 and not bent:
-        raise InputError("range of compliance: found one for a rigid axis, expected a coupling among its effects")
+    if compliance != 1.0 and not has_coupling:
+        raise InputError("range of compliance: found one for a rigid axis, expected an axis with a coupling")
     return axis.replace(mechanics={"mass": inertia * mass}, effects=effects)
 
 
 def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str, Any]:
     """Return the margins of ``design`` at every point of ``span``, the best single design over it, and a schedule.
 
-    ``at`` is the place of the phase margins [deg] and crossovers [rad/s]: "velocity-error" or "plant-input". ``points``
-    have the margins of the present gains there and at the ``plant_input``; ``worst`` is the point with the least phase
-    margin, an unstable one first. ``one``: gains with which every point has the requested phase margin and the gain and
-    delay margins of :mod:`.limits`; the fastest by their ``slowest_crossover``, None if there are none. The crossover
-    of a point is its lowest: above a resonance a loop may cross 0 dB again. ``schedule``: by inertia, the fastest gains
-    that hold at that inertia with every compliance and delay of the range. ``text`` says which is needed. Raises
-    :class:`InputError` for more delay than :data:`MOST_DELAY`.
+    - ``at``: the place of the phase margins [deg] and crossovers [rad/s], "velocity-error" or "plant-input".
+    - ``points``: the margins of the present gains there and at the ``plant_input``; ``worst``: the point with the
+      smallest phase margin, an unstable one first.
+    - ``one``: the gains with the largest ``slowest_crossover`` with which every point has the requested phase margin
+      and the gain and delay margins of :mod:`.limits`; None if there are none. The crossover of a point is its lowest,
+      since a loop may cross 0 dB again above a resonance.
+    - ``schedule``: for each inertia, the fastest such gains for every compliance and delay of the range.
+    - ``text``: whether one design or a schedule is needed.
+
+    Raises :class:`InputError` for more delay than :data:`MOST_DELAY`.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -152,8 +157,8 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
     single = _fastest_gains(plants, phase, at, crossover)
     schedule = []
     for inertia in sorted({point["inertia"] for point in points}):
-        own = [plant for point, plant in zip(points, plants, strict=True) if point["inertia"] == inertia]
-        schedule.append({"inertia": inertia, "gains": _fastest_gains(own, phase, at, crossover)})
+        of_inertia = [plant for point, plant in zip(points, plants, strict=True) if point["inertia"] == inertia]
+        schedule.append({"inertia": inertia, "gains": _fastest_gains(of_inertia, phase, at, crossover)})
     return {
         "at": at,
         "phase_margin_deg": phase,
@@ -166,7 +171,7 @@ def margins_over_range(design: VelocityLoopDesign, span: LoadRange) -> dict[str,
 
 
 def _least_phase_margin(entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The entry with the least phase margin, an unstable one first; without a crossover it is unbounded."""
+    """The entry with the smallest phase margin, an unstable one first; without a crossover the margin is unbounded."""
 
     def margin(entry: dict[str, Any]) -> float:
         return math.inf if entry["phase_margin_deg"] is None else entry["phase_margin_deg"]
@@ -175,17 +180,17 @@ def _least_phase_margin(entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _fastest_gains(plants: list[SampledPlant], phase: float, at: str, crossover: float) -> dict[str, Any] | None:
-    """Return the fastest gains with which all ``plants`` have that phase margin [deg] at ``at``, None for none.
+    """Return the fastest gains with that phase margin [deg] at ``at`` on all ``plants``, None if there are none.
 
-    Of gains whose crossovers differ by less than :data:`EQUAL`, those with the most integral action; they keep the
-    requested ``crossover`` [rad/s] if any gains do.
+    Of gains whose crossovers differ by less than :data:`EQUAL`, it returns those with the most integral action. They
+    have at least the requested ``crossover`` [rad/s] if any gains do.
     """
     nyquist, best, fastest = math.pi / plants[0].period, None, 0.0
     for plant in (plants[0], plants[-1]):  # gains are computed for the ends of the range
         w = np.geomspace(1e-4, 0.9, CROSSOVERS) * nyquist
-        for _ in range(2):  # once along everything, once beside the best
-            tried, more = (pair.ravel() for pair in np.meshgrid(w, phase + MORE_PHASE))
-            k_v1, t_v = retuned_gains(plant, tried, more, at)
+        for _ in range(2):  # over all crossovers, then near the best
+            crossovers, phases = (pair.ravel() for pair in np.meshgrid(w, phase + MORE_PHASE))
+            k_v1, t_v = retuned_gains(plant, crossovers, phases, at)
             slowest, least = _over_plants(plants, k_v1, t_v, phase, at)
             top = float(slowest.max())
             if top > fastest:
@@ -195,15 +200,15 @@ def _fastest_gains(plants: list[SampledPlant], phase: float, at: str, crossover:
                 fastest, best = top, {name: float(values[place]) for name, values in fields.items()}
             if top == 0.0:
                 break
-            own = float(tried[np.argmax(slowest)])
-            w = np.geomspace(own / CLOSE, min(own * CLOSE, 0.9 * nyquist), CROSSOVERS)
+            centre = float(crossovers[np.argmax(slowest)])
+            w = np.geomspace(centre / CLOSE, min(centre * CLOSE, 0.9 * nyquist), CROSSOVERS)
     return best
 
 
 def _over_plants(
     plants: list[SampledPlant], k_v1: np.ndarray, t_v: np.ndarray, phase: float, at: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Slowest crossover [rad/s] and least phase margin [deg] of gains (n,) over ``plants``, 0 if a plant fails."""
+    """Slowest crossover [rad/s] and smallest phase margin [deg] of gains (n,) over ``plants``; 0 if a plant fails."""
     good, extremes = np.flatnonzero(np.isfinite(k_v1)), np.full((2, k_v1.size), np.inf)
     for plant in plants:
         margins = {
@@ -231,33 +236,33 @@ def _requested_crossover(design: VelocityLoopDesign, at: str) -> float:
 
 def _summary(crossover: float, at: str, single: dict[str, Any] | None, schedule: list[dict[str, Any]]) -> str:
     place = f"at the {at.replace('-', ' ')}"
-    alone, enough = [entry["gains"] for entry in schedule], crossover * (1.0 - 1e-3)
+    scheduled, enough = [entry["gains"] for entry in schedule], crossover * (1.0 - 1e-3)
     if single is not None and single["slowest_crossover"] >= enough:
         return (
-            f"one design holds over the range: at least {single['slowest_crossover']:.4g} rad/s of crossover {place} "
-            "everywhere"
+            f"one pair of gains meets the margins over the range, with a crossover {place} of at least "
+            f"{single['slowest_crossover']:.4g} rad/s"
         )
-    if all(gains is not None and gains["slowest_crossover"] >= enough for gains in alone):
+    if all(gains is not None and gains["slowest_crossover"] >= enough for gains in scheduled):
         return (
-            f"no one design has a crossover of {crossover:.4g} rad/s {place} over the range: the gains have to follow "
-            "the inertia, as scheduled"
+            f"no single pair of gains has a crossover of {crossover:.4g} rad/s {place} over the range: schedule the "
+            "gains with the inertia"
         )
     if single is not None:
         return (
-            f"a crossover of {crossover:.4g} rad/s {place} cannot be had over the range, scheduled or not; one design "
-            f"holds with at least {single['slowest_crossover']:.4g} rad/s"
+            f"a crossover of {crossover:.4g} rad/s {place} is not feasible over the range, scheduled or not; one pair "
+            f"of gains has at least {single['slowest_crossover']:.4g} rad/s"
         )
-    return "no one design holds over the range, at any crossover"
+    return "no single pair of gains meets the margins over the range, at any crossover"
 
 
 def relative_mismatch(mismatch: float) -> dict[str, float]:
-    """The same relative error for mass, viscous friction and force gain; :class:`InputError` outside [0, 1).
+    """The same relative error for mass, viscous friction and force gain; raises :class:`InputError` outside [0, 1).
 
     >>> relative_mismatch(0.02)
     {'mass': 0.02, 'viscous': 0.02, 'force_gain': 0.02}
     """
     if not 0.0 <= mismatch < 1.0:
-        raise InputError(f"mismatch: found {mismatch:g}, expected a share of the parameters in [0, 1), such as 0.02")
+        raise InputError(f"mismatch: found {mismatch:g}, expected a relative error in [0, 1), such as 0.02")
     return dict.fromkeys(PARAMETERS, mismatch)
 
 
@@ -265,9 +270,9 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
     """Return the relative uncertainty of identified mass and viscous friction: half of their 95 % intervals.
 
     ``parameters`` is that member of ``identify --json``: name -> {value, std, interval_95 ...}, of one record or of
-    several. The interval includes what is known of a filter's error; of several (a bootstrap's, two directions), or of
-    deviations alone (2 std, the spread between records), the largest is taken. The shares are of the axis's own
-    numbers. Raises :class:`InputError` if mass or viscous has no interval.
+    several. The interval includes the estimated error of a filter. Of several intervals (a bootstrap, two directions),
+    or of deviations only (2 std, the spread between records), the largest counts. The uncertainty is relative to the
+    numbers of the axis. Raises :class:`InputError` if mass or viscous has no interval.
 
     >>> from emps_design.machines import machine
     >>> parameters = {"mass": {"std": 0.29}, "viscous": {"std": 8.8, "interval_95": [455.0, 493.0]}}
@@ -280,13 +285,13 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
         halves = [
             half
             for entry in entries
-            for key, value in entry.items()
-            if (half := _half_interval(key, value)) is not None
+            for key, number in entry.items()
+            if (half := _half_interval(key, number)) is not None
         ]
         if not halves:
-            raise InputError(f"identified parameters: {name} has no std, expected those of an identification as JSON")
-        own = getattr(axis.mechanics, name)
-        shares[name] = max(halves) / own if own > 0.0 else 0.0
+            raise InputError(f"identified parameters: {name} has no std, expected the JSON of an identification")
+        value = getattr(axis.mechanics, name)
+        shares[name] = max(halves) / value if value > 0.0 else 0.0
         if shares[name] >= 1.0:
             raise InputError(
                 f"identified parameters: the interval of {name} is +-{shares[name]:.3g} of its value, expected below 1"
@@ -295,7 +300,7 @@ def identified_mismatch(axis: Axis, parameters: Mapping[str, Mapping[str, float]
 
 
 def _half_interval(key: str, value: Any) -> float | None:
-    """Half of the 95 % interval in an entry of an identified parameter; None for other entries."""
+    """Half of the 95 % interval in an entry of an identified parameter, None for other entries."""
     if key.startswith("interval_95") and isinstance(value, Sequence) and len(value) == 2:
         low, high = value
         half = 0.5 * (high - low) if all(isinstance(end, int | float) for end in value) else math.nan
@@ -309,9 +314,9 @@ def _half_interval(key: str, value: Any) -> float | None:
 def margins_under_mismatch(design: VelocityLoopDesign, errors: Mapping[str, float]) -> dict[str, Any]:
     """Return margins and gains over the corners of ``errors``, the relative error of each parameter.
 
-    The gains of ``design`` run on the plant of every corner: ``worst`` has the corner with the least phase margin of
-    the sampled loop at the plant input (the first unstable one, if any). ``gains`` are the intervals of k_v1 and t_v
-    that (7) would give the corners for the same crossover and phase margin.
+    The gains of ``design`` run on the plant of every corner: ``worst`` is the corner with the smallest phase margin of
+    the sampled loop at the plant input (the first unstable one, if any). ``gains`` are the intervals of k_v1 and t_v by
+    (7) at the corners, for the same crossover and phase margin.
 
     >>> from emps_design.control.velocity.design import design_velocity_loop
     >>> from emps_design.machines import machine
@@ -360,7 +365,7 @@ def corners(errors: Mapping[str, float]) -> list[dict[str, float]]:
 
 
 def with_errors(axis: Axis, shares: Mapping[str, float]) -> Axis:
-    """Return ``axis`` with its parameters off by ``shares``.
+    """Return ``axis`` with the relative errors ``shares`` of its parameters.
 
     >>> from emps_design.machines import machine
     >>> round(with_errors(machine("emps2018"), {"mass": 0.02}).mechanics.mass / 115.7315, 6)
@@ -368,10 +373,10 @@ def with_errors(axis: Axis, shares: Mapping[str, float]) -> Axis:
     """
     tables: dict[str, dict[str, float]] = {}
     for name, share in shares.items():
-        table = PARAMETERS[name]
-        tables.setdefault(table, {})[name] = getattr(getattr(axis, table), name) * (1.0 + share)
+        place = PARAMETERS[name]
+        tables.setdefault(place, {})[name] = getattr(getattr(axis, place), name) * (1.0 + share)
     if "drive" in tables:  # the product of the data sheet no longer holds
-        plain = {key: value for key, value in axis.drive.model_dump(exclude_none=True).items() if key not in FACTORS}
-        drive = type(axis.drive)(**{**plain, **tables.pop("drive")})
+        table = {key: value for key, value in axis.drive.model_dump(exclude_none=True).items() if key not in FACTORS}
+        drive = type(axis.drive)(**{**table, **tables.pop("drive")})
         axis = axis.model_copy(update={"drive": drive})
     return axis.model_copy(update={"mechanics": axis.mechanics.model_copy(update=tables.get("mechanics", {}))})

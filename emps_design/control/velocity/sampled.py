@@ -1,17 +1,17 @@
-"""The velocity loop as implemented, sampled and continuous with every lag, and its response to a step.
+"""The velocity loop as implemented: sampled, continuous with all lags, and its step response.
 
-:class:`SampledVelocityLoop` has hold, delays, current loop, effects and velocity estimator. Stability is judged by the
-closed-loop poles first; an unstable loop has no margins. Of thousands of gains at once stability is that of the
-Schur-Cohn test, and the margins are arrays.
+:class:`SampledVelocityLoop` includes hold, delays, current loop, effects and velocity estimator. The closed-loop poles
+decide stability; an unstable loop has no margins. For thousands of gains at once the Schur-Cohn test decides stability,
+and the margins are arrays.
 
 :func:`step_answer` is the response of a closed loop to a held step, however slow the loop. A held input is a constant
-state, so many samples together are one exact matrix product. The first samples are all returned, then blocks of
-consecutive ones with gaps that grow with time.
+state, so many samples together are one exact matrix product. All of the first samples are returned, then blocks of
+consecutive samples with gaps that grow with time.
 
 :class:`LaggedVelocityLoop` is the continuous loop with current loop, computation delay, filters, effects and velocity
-filter. The closed forms (6) to (9) take one rigid mass behind an ideal drive; here the same gains act on the whole
-linear plant. Compared with the sampled loop only the hold and the differences of the velocity estimate are missing, not
-a filter behind them. A delay is exact in every response; for the poles it is its Pade approximant of order 8.
+filter. The closed forms (6) to (9) assume one rigid mass and an ideal drive; here the same gains act on the whole
+linear plant. Compared with the sampled loop, only the hold and the differences of the velocity estimate are missing,
+not a filter after them. A delay is exact in every response; for the poles it is a Pade approximant of order 8.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ if TYPE_CHECKING:
     import control
 
 
-BLOCK = 64  # consecutive samples, and at least a cycle
-EVERY = 20_000  # first samples, all of which are returned
-BLOCKS = 128  # least number of blocks, for long cycles
+BLOCK = 64  # consecutive samples, at least a cycle
+EVERY = 20_000  # number of first samples that are all returned
+BLOCKS = 128  # smallest number of blocks, for long cycles
 
-SURE = 1e3  # least distance of a step of the stability test from its limit, in rounding errors
+SURE = 1e3  # least distance of the stability test from its limit, in rounding errors
 
 PADE = 8
 TURN = 0.2  # rad, largest phase of a delay between two frequencies of the grid
@@ -63,8 +63,8 @@ System = tuple[np.ndarray, np.ndarray, np.ndarray, float]  # A (n, n), b (n,), c
 def step_answer(loop: SampledLoop, by: str, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the response to a unit step of the input ``by`` from rest: samples k (m,), outputs (m, 4), position (m,).
 
-    The position [m] is that at the end of each sample. Up to :data:`EVERY` all ``samples`` are returned, of more the
-    later ones have gaps. ``loop`` is a single loop.
+    The position [m] is that at the end of each sample. All ``samples`` up to :data:`EVERY` are returned; later ones
+    have gaps. ``loop`` is a single loop.
 
     >>> A, B, C = np.array([[0.5]]), np.array([[1.0]]), np.ones((4, 1))
     >>> k, outputs, _ = step_answer(SampledLoop(A, B, C, np.zeros((4, 1)), 1e-3, ("reference",)), "reference", 4)
@@ -99,7 +99,7 @@ def _step_system(loop: SampledLoop, place: int) -> tuple[np.ndarray, np.ndarray]
 
 
 def _blocks(block: np.ndarray, count: int, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return which of ``count`` blocks are computed (m,), and the states at their beginnings (m, n).
+    """Return the indices of the computed blocks of ``count`` (m,), and the states at their beginnings (m, n).
 
     They are the first ``every`` blocks, then half as many for each doubling of the time.
     """
@@ -118,8 +118,8 @@ def _blocks(block: np.ndarray, count: int, every: int) -> tuple[np.ndarray, np.n
 class SampledVelocityLoop:
     """The sampled velocity loop with given gains: poles, margins at both places, bandwidth, step response.
 
-    ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them give as many frequency responses, and nothing else. The filters are
-    those of ``plant``.
+    ``k_v1`` [V/(m/s)], ``t_v`` [s]; arrays of them are valid for frequency responses only. The filters are those of
+    ``plant``.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -190,10 +190,7 @@ class SampledVelocityLoop:
 
     @cached_property
     def velocity_error(self) -> Margins:
-        """Margins of the loop broken at the velocity error; undefined while the inner proportional path is unstable.
-
-        A "pi" has no inner path: its margins are those at the plant input.
-        """
+        """Margins of the loop broken at the velocity error; for "pi" those at the plant input."""
         if self.structure.form == "pi":
             return self.margins
         return loop_margins(self.velocity_error_response, self.plant.frequencies(), self.stable, self.plant.period)
@@ -204,7 +201,7 @@ class SampledVelocityLoop:
 
     @cached_property
     def bandwidth(self) -> float | None:
-        """First frequency where the velocity estimate has fallen to -3 dB [rad/s]; None if unstable."""
+        """First frequency [rad/s] at which the velocity estimate has fallen to -3 dB; None if unstable."""
         if not self.stable:
             return None
 
@@ -225,7 +222,7 @@ class SampledVelocityLoop:
 
     @property
     def warnings(self) -> tuple[Message, ...]:
-        """Messages: instability first, then what the linear loop leaves out and unbounded margins."""
+        """Messages on instability, on effects that the linear loop neglects, and on an unbounded gain margin."""
         warnings = []
         if not self.stable:
             text = f"the sampled loop is unstable: largest pole {abs(self.poles[0]):.4g}, outside the unit circle"
@@ -238,7 +235,7 @@ class SampledVelocityLoop:
     def step_response(self, samples: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time [s], true velocity [m/s] and voltage [V] after a unit step of the reference, without dry friction.
 
-        Of more than :data:`~emps_design.control.velocity.sampled.EVERY` samples the later ones have gaps.
+        Samples after the first :data:`~emps_design.control.velocity.sampled.EVERY` have gaps.
 
         >>> from emps_design.control.discretisation import sample_axis
         >>> from emps_design.machines import machine
@@ -298,21 +295,21 @@ def velocity_table(
     estimator: AnyEstimator = TWO_TAP,
     in_a_cascade: bool = False,
 ) -> tuple[LawKind[object], LawTable]:
-    """Return the kind of a velocity law and its table: the paper's law if it can hold it, otherwise a cascade.
+    """Return the kind of a velocity law and its table: the paper's law for IP without filters, otherwise a cascade.
 
     ``in_a_cascade`` forces the latter.
     """
-    own: dict[str, Any] = {"velocity_estimator": estimator}
+    options: dict[str, Any] = {"velocity_estimator": estimator}
     if structure.form == "ip" and not filters and not in_a_cascade:
-        return ip_velocity.LAW, ip_velocity.Table(k_v1=k_v1, t_v=t_v, **own)
+        return ip_velocity.LAW, ip_velocity.Table(k_v1=k_v1, t_v=t_v, **options)
     loop = cascade.VelocityLoop.model_validate({"kp": k_v1, "ti": t_v, "form": structure.form})
-    return cascade.LAW, cascade.Table(velocity=loop, filters=filters, **own)
+    return cascade.LAW, cascade.Table(velocity=loop, filters=filters, **options)
 
 
 def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> np.ndarray:
     """Return for every pair of gains whether the sampled loop is stable, by the Schur-Cohn test of its polynomial.
 
-    Where rounding may decide, as in loops much slower than their sampling, the poles are computed.
+    The poles are computed where rounding errors may decide, as in loops much slower than their sampling.
     ``k_v1`` [V/(m/s)], ``t_v`` [s] (n,); returns (n,) of bool, False where the gains are NaN.
 
     >>> from emps_design.control.discretisation import sample_axis
@@ -323,7 +320,7 @@ def sweep_stability(plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray) -> n
     numerator, denominator = plant.polynomials
     integrated = plant.period * np.append(numerator, 0.0)  # T z N, over (z - 1) in the law
     proportional, open_loop = np.polymul(numerator, [1.0, -1.0]), np.polymul(denominator, [1.0, -1.0])
-    if plant.kept[0] == POSITION and abs(np.sum(numerator)) < 1e-6 * np.sum(np.abs(numerator)):
+    if plant.acting[0] == POSITION and abs(np.sum(numerator)) < 1e-6 * np.sum(np.abs(numerator)):
         # With a force over position the final velocity is zero: the root of N at z = 1 cancels that of the integrator.
         integrated = plant.period * np.append(np.polydiv(numerator, [1.0, -1.0])[0], 0.0)
         proportional, open_loop = numerator, denominator
@@ -382,8 +379,8 @@ def sweep_sampled_margins(
     ``k_v1`` [V/(m/s)] and ``t_v`` [s] of one shape. Keys: ``stable`` and those of
     ``emps_design.control.margins.KEYS`` and ``LOWEST``, NaN where the loop is unstable or a margin unbounded.
     ``frequencies`` is the size of the grid that brackets the crossings; ``at`` is "plant-input" or "velocity-error".
-    Without ``exact_delay`` the delay margin is that of the phase alone: exact at whole samples, and so sufficient for
-    a comparison with one.
+    Without ``exact_delay`` the delay margin follows from the phase only: it is exact at whole samples, and so
+    sufficient for a comparison with a whole number of samples.
 
     >>> from emps_design.control.discretisation import sample_axis
     >>> from emps_design.machines import machine
@@ -394,11 +391,11 @@ def sweep_sampled_margins(
     shape = np.shape(k_v1)
     k, t = np.ravel(np.asarray(k_v1, dtype=float)), np.ravel(np.asarray(t_v, dtype=float))
     stable = sweep_stability(plant, k, t)
-    chosen = np.flatnonzero(stable)
+    stable_rows = np.flatnonzero(stable)
     grid = plant.frequencies(frequencies)
     margins = {key: np.full(k.size, np.nan) for key in (*KEYS, LOWEST)}
-    for start in range(0, chosen.size, 2000):  # pieces that stay in the cache
-        piece = chosen[start : start + 2000]
+    for start in range(0, stable_rows.size, 2000):  # pieces that fit into the cache
+        piece = stable_rows[start : start + 2000]
         for key, values in _margins(plant, k[piece], t[piece], grid, at, exact_delay).items():
             margins[key][piece] = values
     return {"stable": stable.reshape(shape), **{key: values.reshape(shape) for key, values in margins.items()}}
@@ -407,7 +404,7 @@ def sweep_sampled_margins(
 def _margins(
     plant: SampledPlant, k_v1: np.ndarray, t_v: np.ndarray, grid: np.ndarray, at: str, exact_delay: bool
 ) -> dict[str, Any]:
-    """Margins of stable loops (n,); the delay margin may be exact where the delay acts."""
+    """Margins of stable loops (n,), with an exact delay margin at the plant input if ``exact_delay``."""
 
     def loops(rows: np.ndarray) -> SampledVelocityLoop:
         return SampledVelocityLoop(plant, k_v1[rows], t_v[rows])
@@ -455,7 +452,7 @@ class LaggedVelocityLoop:
 
     @property
     def _velocity(self) -> System:
-        """From the command to the velocity of the encoder's reading, without the position if nothing depends on it."""
+        """From the command to the derivative of the encoder reading, without a position that nothing depends on."""
         A, B, C = self.plant.A, self.plant.B, self.plant.C
         row, through = C @ A, float(C @ B)
         keep = np.arange(B.size)[POSITION + 1 :] if not np.any(A[:, POSITION]) else np.arange(B.size)
@@ -463,9 +460,9 @@ class LaggedVelocityLoop:
 
     @property
     def _filters(self) -> list[tuple[list[float], list[float]]]:
-        """Numerator and denominator in s of the command's filters and of the velocity estimator's."""
-        own = continuous(self.estimator)
-        return [*map(_polynomials, self.filters), *([own] if len(own[1]) > 1 else [])]
+        """Numerator and denominator in s of the command filters, and of the filter of the velocity estimator."""
+        estimator = continuous(self.estimator)
+        return [*map(_polynomials, self.filters), *([estimator] if len(estimator[1]) > 1 else [])]
 
     def plant_response(self, w: np.ndarray) -> np.ndarray:
         """From the command before the filters to the estimated velocity [(m/s)/V] at ``w`` [rad/s]."""
@@ -515,7 +512,7 @@ class LaggedVelocityLoop:
 
     @property
     def _frequencies(self) -> np.ndarray:
-        """A frequency grid [rad/s] from far below all poles of the loop to far above, fine at narrow peaks."""
+        """A frequency grid [rad/s] from far below to far above all poles of the loop, refined at narrow peaks."""
         A = self._velocity[0]
         sizes = np.abs(self.poles)
         low, high = 1e-3 * sizes[sizes > MARGINAL * sizes.max()].min(), 1e3 * sizes.max()
@@ -528,7 +525,7 @@ class LaggedVelocityLoop:
 
 
 def left_out(axis: Axis, filters: tuple[Filter, ...] = ()) -> tuple[str, ...]:
-    """Return what of ``axis`` and ``filters`` the closed forms of mass and viscous friction leave out.
+    """Return the parts of ``axis`` and ``filters`` that the closed forms of mass and viscous friction neglect.
 
     >>> from emps_design.machines import machine
     >>> left_out(machine("emps2018")), left_out(machine("emps2019"))
@@ -580,7 +577,7 @@ def _companion(numerator: list[float], denominator: list[float]) -> System:
 
 
 def _series(first: System, then: System) -> System:
-    """The system ``then`` behind the system ``first``."""
+    """The system ``then`` after the system ``first``."""
     A1, b1, c1, d1 = first
     A2, b2, c2, d2 = then
     A = np.block([[A1, np.zeros((b1.size, b2.size))], [np.outer(b2, c1), A2]])

@@ -1,10 +1,10 @@
 """Specifications of the velocity loop, the nearest feasible one, and the limits of the closed forms.
 
-A pair of a frequency and a phase margin *works* if there are gains for it and the sampled loop with them is stable, has
-a delay margin of at least ``ROOM`` samples, and has not fallen to -3 dB at ``PASSED`` of the frequency. A pair at the
-edge of stability, or with hardly any integral action, would be nearer but useless.
+A pair of a frequency and a phase margin *works* if there are gains for it with which the sampled loop is stable, has a
+delay margin of at least ``ROOM`` samples, and is above -3 dB at ``PASSED`` of the frequency. A pair at the limit of
+stability, or with hardly any integral action, might be nearer but would be useless.
 
-The ``..._in_words`` functions say what the closed forms leave out of an axis, and what its effects change.
+The ``..._in_words`` functions make the messages on what the closed forms neglect, and on what effects change.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def check_specification(crossover: float | None, bandwidth: float | None, phase_
         raise InputError(f"{name}: found {value:g} rad/s, expected a positive number of rad/s")
     check_magnitude(name, value, "rad/s", positive=True)
     if not math.isfinite(phase_margin_deg):
-        raise InputError(f"phase margin: found {phase_margin_deg:g} deg, expected degrees between 0 and 90")
+        raise InputError(f"phase margin: found {phase_margin_deg:g} deg, expected an angle between 0 and 90 deg")
     return {name: float(value), "phase_margin_deg": float(phase_margin_deg)}
 
 
@@ -58,10 +58,10 @@ def check_specification(crossover: float | None, bandwidth: float | None, phase_
 class Pairs:
     """Pairs of a frequency and a phase margin, and the sampled loops with their gains.
 
-    ``gains(frequencies, phase_margins_deg)`` gives k_v1 [V/(m/s)] and t_v [s], NaN where there are none; arrays (n,).
-    ``passes(frequencies, phase_margins_deg)`` [rad/s] is the nominal bandwidth of such a pair. With ``at`` the phase
-    margin is that of the sampled loop broken there and must be met; "" for the gains of (7). ``bandwidth``: the
-    frequency is the -3 dB frequency of the sampled closed loop and must be met.
+    ``gains(frequencies, phase_margins_deg)`` returns k_v1 [V/(m/s)] and t_v [s] (n,), NaN where there are none.
+    ``passes(frequencies, phase_margins_deg)`` [rad/s] is the nominal bandwidth of such a pair. With ``at`` the sampled
+    loop broken there must have the phase margin; "" for the gains of (7). With ``bandwidth`` the frequency is the -3 dB
+    frequency that the sampled closed loop must have.
     """
 
     plant: SampledPlant
@@ -99,7 +99,7 @@ class Pairs:
         return good.astype(int) + (good & room & self._passes(k_v1, t_v, self.passes(frequency, phase)))
 
     def _passes(self, k_v1: np.ndarray, t_v: np.ndarray, w: np.ndarray) -> np.ndarray:
-        """Whether the closed loops have not fallen to -3 dB at ``PASSED`` of ``w`` [rad/s]."""
+        """Whether the closed loops are above -3 dB at ``PASSED`` of ``w`` [rad/s]."""
         w = np.minimum(PASSED * w, 0.5 * math.pi / self.plant.period)
         with np.errstate(invalid="ignore"):
             loops = SampledVelocityLoop(self.plant, k_v1, t_v, self.structure)
@@ -115,7 +115,7 @@ def pairs_by_closed_form(
 ) -> Pairs:
     """Return the pairs of the kind ``requested`` with the gains of (7), the effects linearised at ``velocity`` [m/s].
 
-    Another ``structure`` has its own closed form; ``filters`` are in the sampled loops.
+    Each ``structure`` has its closed form; the sampled loops include the ``filters``.
 
     >>> from emps_design.machines import machine
     >>> pairs = pairs_by_closed_form(machine("emps2018"), {"crossover": 100.0, "phase_margin_deg": 60.0})
@@ -141,8 +141,7 @@ def nearest_that_works(pairs: Pairs, requested: dict[str, float]) -> dict[str, A
     """Return the pair of ``pairs`` nearest to ``requested`` that works, {} if there is none.
 
     The search varies the phase margin at the same frequency, and the frequency at the same phase margin; if both give a
-    pair, the second is under "or". If neither does, both may change. If nothing works, the nearest pair that is merely
-    stable is returned.
+    pair, the second is under "or". If neither does, both change. If no pair works, the nearest stable pair is returned.
 
     >>> from emps_design.machines import machine
     >>> requested = {"crossover": 100.0, "phase_margin_deg": 88.0}
@@ -171,8 +170,8 @@ def nearest_that_works(pairs: Pairs, requested: dict[str, float]) -> dict[str, A
     return {}
 
 
-# Phase margins to propose [deg], finer towards 90, since large friction leaves little room below; and exponents of the
-# frequency steps: of 1 % close to the request and of 10 % further away. (np.unique would import numpy.ma.)
+# Phase margins to propose [deg], finer towards 90, since with large friction the feasible range is small; and exponents
+# of the frequency steps: 1 % near the request, 10 % further away. (np.unique would import numpy.ma.)
 _BELOW_90 = (90.0 - n * 10.0**-m for n in range(1, 10) for m in range(1, 6))
 PHASES = np.array(sorted({round(phase, 6) for phase in (*(0.5 * np.arange(1, 360)).tolist(), *_BELOW_90)}))
 FINE = np.array(sorted({*range(-250, 250), *range(-1500, 500, 10)}))
@@ -200,9 +199,9 @@ def proposal_in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> st
     'nearest that works: 79.5 deg at a crossover of 100 rad/s'
     """
     if not nearest:
-        return "no pair of a frequency and a phase margin works"
+        return "no pair of frequency and phase margin works"
     both = [nearest, nearest["or"]] if "or" in nearest else [nearest]
-    words, rooms = [], []
+    words, delay_margins = [], []
     for pair in both:
         name = "crossover" if "crossover" in pair else "bandwidth"
         text = f"{pair['phase_margin_deg']:.7g} deg at a {name} of {pair[name]:.5g} rad/s"
@@ -210,10 +209,10 @@ def proposal_in_words(nearest: dict[str, Any], pairs: Pairs | None = None) -> st
         if loop is not None:
             achieved = ", ".join(_achieved(loop))
             text += f" (sampled: {achieved})" if achieved else ""
-            rooms.append(loop.margins.delay_margin_samples)
+            delay_margins.append(loop.margins.delay_margin_samples)
         words.append(text)
-    barely = any(room is not None and room < ROOM for room in rooms)
-    return f"nearest that {'is stable, and barely' if barely else 'works'}: {', or '.join(words)}"
+    barely = any(margin is not None and margin < ROOM for margin in delay_margins)
+    return f"nearest that {'is stable, but barely' if barely else 'works'}: {', or '.join(words)}"
 
 
 def _achieved(loop: SampledVelocityLoop) -> Iterator[str]:
@@ -222,7 +221,7 @@ def _achieved(loop: SampledVelocityLoop) -> Iterator[str]:
     if margins.phase_margin_deg is not None:
         yield f"{margins.phase_margin_deg:.3g} deg"
     if margins.delay_margin_samples is not None:
-        yield f"room for {margins.delay_margin_samples:.3g} samples of delay"
+        yield f"delay margin {margins.delay_margin_samples:.3g} samples"
     if loop.bandwidth is not None:
         yield f"-3 dB at {loop.bandwidth:.4g} rad/s"
 
@@ -259,33 +258,33 @@ def room_in_words(loop: SampledVelocityLoop) -> list[Message]:
     if not loop.stable or margins.delay_margin_samples is None or margins.delay_margin_samples >= ROOM:
         return []
     text = (
-        f"the sampled loop is barely stable: {margins.delay_margin_samples:.2g} samples more delay make it unstable "
-        f"(phase margin {margins.phase_margin_deg:.3g} deg at the plant input)"
+        f"the sampled loop is barely stable: {margins.delay_margin_samples:.2g} samples of additional delay make it "
+        f"unstable (phase margin {margins.phase_margin_deg:.3g} deg at the plant input)"
     )
     return [grave("barely-stable", text, samples=margins.delay_margin_samples)]
 
 
 def law_in_words(loop: SampledVelocityLoop, by_closed_form: bool) -> list[Message]:
-    """Return messages on what the structure and filters of ``loop`` mean for the design's numbers and for the drive."""
+    """Return messages on consequences of structure and filters of ``loop`` for the closed forms and for the drive."""
     notes = []
     if loop.plant.filters and by_closed_form:
         notes.append(_no_filters("; `retune` meets the request there"))
     if loop.structure.reference_filter:
         text = (
-            f"the axis file has no reference filter: set 1/(1 + t_v s), {1e3 * loop.t_v:.4g} ms, in the drive, or "
-            'take form = "ip", which answers alike'
+            f"an axis file cannot hold a reference filter: set 1/(1 + t_v s), {1e3 * loop.t_v:.4g} ms, in the drive, "
+            'or use form = "ip", which has the same response'
         )
         notes.append(note("reference-filter", text, t_v=loop.t_v))
     return notes
 
 
 def _no_filters(more: str = "") -> Message:
-    """The message that filters are in the sampled loop alone, with ``more`` to do about it."""
-    return note("filters-left-out", f"the closed forms know no filters: what they cost is in the sampled loop{more}")
+    """The message that only the sampled loop includes filters, followed by ``more``."""
+    return note("filters-left-out", f"the closed forms neglect filters; the sampled loop includes them{more}")
 
 
 def ideal_loop_in_words(left_out: Sequence[str], with_lags: Margins) -> Message:
-    """Return a message on what the closed forms leave out, with the margins of the continuous loop ``with_lags``.
+    """Return a message on what the closed forms neglect, with the margins of the continuous loop ``with_lags``.
 
     >>> ideal_loop_in_words((), Margins(stable=True))
     "the continuous loop's gain margin is unbounded: its phase never reaches -180 deg"
@@ -293,14 +292,14 @@ def ideal_loop_in_words(left_out: Sequence[str], with_lags: Margins) -> Message:
     ideal = "the continuous loop's gain margin is unbounded: its phase never reaches -180 deg"
     if not left_out:
         return note("ideal-loop", ideal)
-    ideal = f"{ideal}; that is without {' and '.join(left_out)}; with every lag"
+    ideal = f"{ideal}; this neglects {' and '.join(left_out)}; with all lags"
     if not with_lags.stable:
-        return grave("unstable-with-lags", f"{ideal} it is unstable at the velocity error")
+        return grave("unstable-with-lags", f"{ideal} the loop is unstable")
     return note("loop-with-lags", f"{ideal} it has {margins_in_words(with_lags)} at the velocity error")
 
 
 def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> list[Message]:
-    """Return messages on what the effects of ``axis`` change: (7) has mass and viscous friction, ``loop`` all effects.
+    """Return messages on the influence of the effects of ``axis``, which ``loop`` includes and the closed form not.
 
     ``loop`` is linearised at ``velocity`` [m/s]; the other direction is checked too.
 
@@ -322,62 +321,62 @@ def effects_in_words(axis: Axis, loop: SampledVelocityLoop, velocity: float) -> 
             text = f"the sampled loop is unstable at {back_speed}"
             notes.append(grave("unstable-backward", text, velocity=-velocity))
         elif here is not None and there is not None and there < here - 0.5:
-            text = f"at {back_speed} the sampled loop has {there:.3g} deg of phase margin only"
+            text = f"at {back_speed} the sampled loop has only {there:.3g} deg of phase margin"
             notes.append(warning("less-margin-backward", text, velocity=-velocity, phase_margin_deg=there))
         notes += _where_it_is_steepest(loop, axis.units)
     return notes
 
 
 def carriage_in_words(axis: Axis, linear: LinearPlant, velocity: float, closed_form: str = "(7)") -> list[Message]:
-    """Return messages on what ``closed_form`` leaves out of ``linear``: another mass and friction slope, resonances.
+    """Return messages on what ``closed_form`` neglects in ``linear``: another mass and friction slope, resonances.
 
-    Mass and slope are those of the whole slow motion; of two masses the one before the coupling is named too.
+    Mass and slope are those of slow motion; of two masses, the one before the coupling is given too.
 
     >>> from emps_design.control.linear_plant import linear_plant
     >>> from emps_design.machines import machine
     >>> bent = [{"kind": "flexible_coupling", "frequency": 48.0, "damping": 0.02, "share": 0.7}]
     >>> axis = machine("emps2018").replace(effects=bent)
     >>> carriage_in_words(axis, linear_plant(axis), 0.1)
-    ['(7) takes one rigid mass of 115.7 kg; the sampled loop has the resonance at 47.99 Hz, 34.72 kg before it']
+    ['(7) assumes one rigid mass of 115.7 kg; the sampled loop has the resonance at 47.99 Hz, with 34.72 kg before it']
     """
     notes, mass, damping, shown = list[Message](), axis.mechanics.mass, axis.damping, axis.units.quantity
     moved, slope = linear.in_slow_motion
     if abs(moved - mass) > 0.01 * mass or abs(slope - damping) > 0.01 * damping:
         text = (
             f"with its effects the {axis.units.word('carriage')} has {shown(moved, 'kg')} and a friction slope of "
-            f"{shown(slope, 'N/(m/s)')} at {shown(velocity, 'm/s', 'g')}; {closed_form} takes {shown(mass, 'kg')} and "
-            f"{shown(damping, 'N/(m/s)')}, the sampled loop takes all"
+            f"{shown(slope, 'N/(m/s)')} at {shown(velocity, 'm/s', 'g')}; {closed_form} uses {shown(mass, 'kg')} and "
+            f"{shown(damping, 'N/(m/s)')}, the sampled loop includes all effects"
         )
         notes.append(note("mass-with-effects", text, mass=moved, slope=slope, velocity=velocity))
     for w, _ in oscillations(linear.A):
-        before = f", {shown(linear.mass, 'kg')} before it" if linear.mass < 0.99 * moved else ""
+        before = f", with {shown(linear.mass, 'kg')} before it" if linear.mass < 0.99 * moved else ""
         frequency = w / (2.0 * math.pi)
         text = (
-            f"{closed_form} takes one rigid {axis.units.word('mass')} of {shown(mass, 'kg')}; the sampled loop has the "
-            f"resonance at {frequency:.4g} Hz{before}"
+            f"{closed_form} assumes one rigid {axis.units.word('mass')} of {shown(mass, 'kg')}; the sampled loop has "
+            f"the resonance at {frequency:.4g} Hz{before}"
         )
         notes.append(note("resonance", text, frequency=frequency))
     return notes
 
 
 def closed_form_in_words(axis: Axis, plant: SampledPlant, velocity: float) -> list[Message]:
-    """Return messages on what a closed form of mass and viscous friction leaves out of ``plant``: effects and filters.
+    """Return messages on what a closed form of mass and viscous friction neglects in ``plant``: effects and filters.
 
     >>> from emps_design.machines import machine
     >>> late = machine("emps2018").replace(effects=[{"kind": "actuator_delay", "delay": 1e-3}])
     >>> closed_form_in_words(late, sample_axis(late), 0.1)
-    ['the closed form knows no effects of the axis, the sampled loop takes all']
+    ['the closed form neglects the effects of the axis; the sampled loop includes them']
     """
     notes = [_no_filters()] if plant.filters else []
     if not axis.effects:
         return notes
     notes_on_carriage = carriage_in_words(axis, plant.linear, velocity, "the closed form")
-    text = "the closed form knows no effects of the axis, the sampled loop takes all"
+    text = "the closed form neglects the effects of the axis; the sampled loop includes them"
     return notes + (notes_on_carriage or [note("effects-in-sampled-loop", text)])
 
 
 def _where_it_is_steepest(loop: SampledVelocityLoop, units: Units) -> list[Message]:
-    """Return messages if slow motion is less stable: there the slope of force over position does not average out."""
+    """Return messages if slow motion is less stable, since the slope of force over position does not average out."""
     steepest = loop.plant.linear.steepest
     if steepest == 0.0:
         return []
@@ -387,11 +386,11 @@ def _where_it_is_steepest(loop: SampledVelocityLoop, units: Units) -> list[Messa
         linear = attached(loop.plant.linear, Environment(stiffness=stiffness))
         slow = replace(loop, plant=loop.plant.sampling(linear))
         slope = units.quantity(stiffness, "N/m", ".3g")
-        where = f"in slow motion, where the {units.word('force')} over {place} has its slope of {slope},"
+        where = f"in slow motion, where the {units.word('force')} over {place} has a slope of {slope},"
         there = slow.margins.phase_margin_deg
         if not slow.stable:
             notes.append(grave("unstable-in-slow-motion", f"{where} the sampled loop is unstable", slope=stiffness))
         elif here is not None and there is not None and there < here - 0.5:
-            text = f"{where} the sampled loop has {there:.3g} deg of phase margin only"
+            text = f"{where} the sampled loop has only {there:.3g} deg of phase margin"
             notes.append(warning("less-margin-in-slow-motion", text, slope=stiffness, phase_margin_deg=there))
     return notes

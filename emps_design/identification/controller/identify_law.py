@@ -71,7 +71,7 @@ INNER = 2.0  # times the residual by the velocity reference: above it the contro
 SURELY_APART = 3.0  # deviations
 ROUNDING = 1e-6  # relative, by which the numbers of one law written in two ways may differ
 
-IRREGULAR = "irregular samples identify no law with a memory, only a proportional one"
+IRREGULAR = "irregular samples identify only a proportional law, without dynamics"
 
 
 def without_steps(signals: ControllerSignals) -> tuple[ControllerSignals, np.ndarray] | None:
@@ -175,7 +175,7 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> ControllerSig
     """
     velocity = None if record.q_ref_recorded else record.velocity_reference
     if velocity is None and not record.q_ref_recorded:
-        return "the record has no reference, which the controller followed; record it too"
+        return "the record has no reference of the controller; record it too"
     used = np.ones(len(record), bool)
     if record.enable is not None:
         used &= np.convolve(record.enable <= 0.0, np.ones(2 * AROUND + 1), "same") < 0.5
@@ -186,11 +186,11 @@ def signals_of(record: Record, there: np.ndarray | None = None) -> ControllerSig
         used &= np.convolve(~there, np.ones(start_up + AHEAD + 1))[AHEAD : used.size + AHEAD] < 0.5
         levels = np.cumsum(np.diff(there.astype(int), prepend=1) < 0)
     if used.sum() < FEWEST:
-        return f"{int(used.sum())} samples with the controller at work, expected at least {FEWEST}; record longer"
+        return f"{int(used.sum())} samples with an active controller, expected at least {FEWEST}; make a longer record"
     if not np.ptp(record.q[used]) > 0.0:
-        return "the axis stands still; record a motion"
+        return "the axis is at rest; record a motion"
     if not np.ptp(record.u[used]) > 0.0:
-        return "the command stands still; record what the controller gives while the axis moves"
+        return "the command is constant; record the output of the controller while the axis moves"
     command = record.u if record.excitation is None else record.u - record.excitation
     reference = record.q_ref if velocity is None else velocity
     follows = velocity is not None
@@ -261,15 +261,15 @@ def _report(
     if best.share > HOLDS or not best.fit.stabilising:
         reason = (
             f"{why or 'the best law tried '}leaves {100 * best.share:.3g} % of the command's deviation, expected at "
-            f"most {100 * HOLDS:g} %: an open loop, another structure, or columns that are not the controller's own"
+            f"most {100 * HOLDS:g} %: an open loop, another structure, or columns of other signals"
         )
         return _not_told(name, units, reason, **fields)
     kind = law_kind(best.fit, velocity_reference)
     if not kind:
-        reason = f"the command follows a law that no kind of controller here has: {tried[0]['terms']}"
+        reason = f"the command follows a law that no supported controller has: {tried[0]['terms']}"
         return _not_told(name, units, reason, **fields)
     if step := too_coarse(best):
-        reason = f"the reference is recorded in steps of {step:.2g}, of which derivatives hide what is fed forward; "
+        reason = f"the reference is recorded in steps of {step:.2g}, whose derivatives mask the feed-forward; "
         return _not_told(name, units, f"{reason}record it with more digits", **fields)
     spread = covariance(best.signals, best.fit, best.held)
     numbers = with_deviations(best.fit, spread, lambda law: numbers_of(law, velocity_reference))
@@ -286,7 +286,9 @@ def _report(
         return _not_told(name, units, too_much_left(best, times, units.command_unit), closest=table, **fields)
     apart = disagreement(best, parts, lambda law: numbers_of(law, velocity_reference))
     if apart is not None:
-        return _not_told(name, units, f"{in_parts(apart, several)}; no one law made all of it", closest=table, **fields)
+        return _not_told(
+            name, units, f"{in_parts(apart, several)}; one law does not explain all of it", closest=table, **fields
+        )
     close = [law for law in best.rivals if law.criterion < best.fit.criterion + AS_GOOD]
     close = [law for law in close if law_kind(law, velocity_reference)]
     own, *others = (
@@ -307,7 +309,7 @@ def _report(
     reason = ""
     if close:
         what = ", ".join(map(short, equivalents)) if structures else "position.kp and 1/velocity.ti exchanged"
-        reason = f"the record fits as well: {what}"
+        reason = f"these fit the record as well: {what}"
     return LawEstimate(
         record=name,
         verdict=AMBIGUOUS if structures else TOLD,

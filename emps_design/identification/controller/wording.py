@@ -116,11 +116,11 @@ class LawEstimate(Viewed):
             ]
             yield Table(("number", "value", "std", "std [%]"), rows)
         elif self.closest is not None:
-            yield Line(f"the closest law, which is not the machine's: {self.closest_in_words}")
+            yield Line(f"the closest law, which differs from the machine's: {self.closest_in_words}")
         if self.residual_rms is not None and self.residual_share is not None:
             rms = f"{self.residual_rms:.4g} {self.command_unit}".rstrip()
-            own = f"; the record allows {self.allowed_rms:.4g}" if self.allowed_rms is not None else ""
-            yield Line(f"leaves {rms} rms, {100 * self.residual_share:.3g} % of the command's deviation{own}")
+            own = f"; noise and resolution account for {self.allowed_rms:.4g}" if self.allowed_rms is not None else ""
+            yield Line(f"residual {rms} rms, {100 * self.residual_share:.3g} % of the command's deviation{own}")
         for note in self.notes:
             yield Line(note)
         if len(self.tried) > 1:
@@ -311,9 +311,8 @@ def how_far_apart(close: Sequence[LawFit], best: BestLaw) -> str:
     """A note on how far the nearest of the ``close`` laws is, and how much more motion would separate them."""
     apart = max(min(map(best.apart, close)), 1e-6)
     return (
-        f"the nearest of them is {apart:.2g} standard deviations of the noise apart, over all samples; to "
-        f"separate them takes {SURE:.2g}: about {(SURE / apart) ** 2:.2g} times as much of such motion, in one "
-        "or several records"
+        f"the nearest of them is {apart:.2g} standard deviations of the noise apart, over all samples; separating them "
+        f"requires {SURE:.2g}: about {(SURE / apart) ** 2:.2g} times as much of such motion, in one or several records"
     )
 
 
@@ -322,28 +321,32 @@ def notes_of(several: Sequence[Record], unit: str, best: BestLaw, steps: np.ndar
     timing, s = best.fit.timing, best.fit.structure
     notes = []
     if timing.delay:
-        notes.append(f"the command in the record is {timing.delay} samples behind the position it follows from")
+        notes.append(
+            f"the command in the record is {timing.delay} samples later than the position from which it is computed"
+        )
     if s.skew:
         ahead = -1e3 * (best.fit.part["skew"] / best.fit.part["position"])
         when = "before" if ahead > 0.0 else "after"
-        other = ", or the law damps velocity as much" if ahead > 0.0 else ""
-        notes.append(f"the position is recorded {abs(ahead):.2g} ms {when} the one that the command follows{other}")
+        other = ", or the law has equivalent velocity damping" if ahead > 0.0 else ""
+        notes.append(f"the position is recorded {abs(ahead):.2g} ms {when} the one that the controller used{other}")
     if timing.phase:
-        notes.append(f"the position loop runs first at sample {timing.phase}: leave out as many at the start")
+        notes.append(f"the position loop runs first at sample {timing.phase}: cut this number of samples at the start")
     if s.offset:
-        what = "the integral starts at" if s.form else "the command carries a constant"
+        what = "the integral starts at" if s.form else "the command contains a constant"
         constant = f"{best.fit.part['offset']:.4g} {unit}".rstrip()
-        notes.append(f"{what} {constant}, which no table holds")
+        notes.append(f"{what} {constant}, which no axis file can hold")
     if best.limit is not None:
         notes.append(f"the limit of {f'{best.limit:.6g} {unit}'.rstrip()} acts: command_limit of [drive]")
         if best.holds is None and s.form:
-            notes.append("what the integral does at the limit is not told: anti_windup is the default")
+            notes.append("the record does not determine the anti-windup: anti_windup is the default")
     if steps is not None:
-        notes.append(f"steps of {np.std(steps):.3g} {unit} rms, added to the controller's output, were taken off first")
+        notes.append(
+            f"steps of {np.std(steps):.3g} {unit} rms, added to the controller's output, were subtracted first"
+        )
     if any(record.enable is not None and np.any(record.enable <= 0.0) for record in several):
         notes.append("samples with the motor switched off were left out")
     if not np.ptp(best.signals.reference[best.signals.used]) > 0.0:
-        notes.append("the reference stands still, so feed-forward is not told")
+        notes.append("the reference is constant, so the feed-forward is not determined")
     return tuple(notes)
 
 
@@ -352,7 +355,8 @@ def too_much_left(best: BestLaw, times: float, unit: str) -> str:
     rms = f"{best.rms:.3g} {unit}".rstrip()
     return (
         f"the closest law leaves {rms} rms, {100 * best.share:.3g} % of the command's deviation, {times:.3g} times "
-        "what the record's own noise and resolution would: it has another structure, filter or velocity estimator"
+        "what noise and resolution of the record explain: the machine has another structure, filter or velocity "
+        "estimator"
     )
 
 

@@ -79,7 +79,7 @@ def test_the_most_severe_message_is_the_advice_whatever_comes_before_it():
 
 def test_the_first_of_equally_severe_messages_is_the_advice():
     """A record that lies, then values that cannot be, then structure: the order in which they are found."""
-    damaged = wrong("contradiction", f"u: every second sample is another signal's; {MEANS}")
+    damaged = wrong("contradiction", f"u: every second sample is from another signal; {MEANS}")
     impossible = implausible({"mass": -9.0, "viscous": -2.0, "coulomb": -2.0}, machine("emps2019"))[0]
     far = implausible({"mass": 950.0, "viscous": 200.0, "coulomb": 20.0}, machine("emps2019"))[0]
     found = [damaged, impossible, far, Unexplained(0.4, 0.3, 2.0, 1.5).warnings()[0]]

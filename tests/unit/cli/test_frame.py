@@ -56,7 +56,7 @@ def test_every_argument_that_a_message_names_becomes_a_flag_that_there_is():
     ]
     assert {"window", "external_force", "cutoff"} <= {argument for _, argument in named}
     for path, argument in named:
-        flag = Terminal(("identify",)).named(f"`{argument}`").split()[0]
+        flag = Terminal(("identify",)).with_flags(f"`{argument}`").split()[0]
         assert flag in flags, f"{path}: {argument}"
 
 
@@ -142,7 +142,7 @@ def test_plain_data():
         def to_dict(self):
             return {"poles": np.array([1 + 2j]), "margin": np.inf, "n": np.int64(3), "pair": (np.nan, True, None)}
 
-    assert Terminal().plain(Result()) == {"poles": [[1.0, 2.0]], "margin": None, "n": 3, "pair": [None, True, None]}
+    assert Terminal().json_data(Result()) == {"poles": [[1.0, 2.0]], "margin": None, "n": 3, "pair": [None, True, None]}
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):

@@ -34,7 +34,7 @@ def test_a_frequency_as_someone_writes_it(text, in_rad_s, in_hertz):
 
 @pytest.mark.parametrize("text", ["", "Hz", "30 Herz", "30 V", "3O", "1e", "30 30", "0x1F", "1_000"])
 def test_what_is_no_frequency(text):
-    with pytest.raises(InputError, match="expected a number of rad/s, or such as 30Hz"):
+    with pytest.raises(InputError, match="expected a number in rad/s, or one such as 30Hz"):
         read_frequency(text)
 
 
@@ -73,7 +73,7 @@ def test_every_option_that_asks_for_a_frequency(line, key, tmp_path, capsys, mon
         found.append(document)
     assert found[0] == found[1]
     assert run([*words[:-1], "10Hx"]) == 2
-    assert f"{key}: frequency: found '10Hx', expected a number of" in capsys.readouterr().err
+    assert f"{key}: frequency: found '10Hx', expected a number in" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", COMMANDS)

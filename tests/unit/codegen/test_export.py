@@ -143,7 +143,7 @@ def test_every_effect_is_in_the_exported_observer_and_its_feed_forward_or_refuse
     axis = machine("emps2018").replace(motion=effect.motion or "linear")
     axis = axis.replace(effects=[{"kind": effect.name, **effect.checks[0][0]}])
     if effect.rate or effect.channel != "plant" or effect.over == "t":
-        with pytest.raises(InputError, match=f"found {effect.name}, it .*; take such effects out"):
+        with pytest.raises(InputError, match=f"found {effect.name}, it .*; remove these effects"):
             Block.observer(axis, 20.0)
         return
     block, ahead = Block.observer(axis, 20.0), Ahead.of(FeedForward.of(axis, (effect.name,)))
@@ -176,4 +176,4 @@ def test_where_single_precision_overflows_there_is_no_tolerance():
     assert 0 < np.count_nonzero(beyond) < beyond.size
     np.testing.assert_array_equal(np.isfinite(vectors.tolerance), ~beyond)
     assert None in vectors.to_dict()["single"]
-    assert f"{np.count_nonzero(beyond)} samples have none" in single_precision(vectors)
+    assert f"{np.count_nonzero(beyond)} samples have no bound" in single_precision(vectors)

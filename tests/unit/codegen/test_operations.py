@@ -116,8 +116,8 @@ def test_a_drives_gains_are_on_the_motors_side_where_the_reduction_is_known():
     sides = {row["side"] for axis in (turning(), turning(**data_sheet)) for row in drive_settings(axis, gains)}
     assert sides == {"axis", "motor"}
     pages = [export_controller(axis, "c").files["README.md"] for axis in (turning(), turning(**data_sheet))]
-    assert "On the axis's own side" in pages[0]
-    assert "On the motor's side" in pages[1]
+    assert "On the load side" in pages[0]
+    assert "On the motor side" in pages[1]
 
 
 def test_a_document_has_its_feed_forward_in_numbers_and_its_origin():

@@ -95,7 +95,7 @@ def test_a_term_that_does_harm_within_its_uncertainty_is_left_out():
     """A ripple whose phase may be 90 degrees wrong is worse than none."""
     found = compensate(with_effects(EFFECTS_HERE[0]), PROGRAM, phase_deg=90.0)
     assert "position_ripple" not in found.feedforward.terms
-    assert any("position_ripple is left out: within its uncertainty it does harm" in line for line in found.warnings)
+    assert any("position_ripple is left out: within its uncertainty the error is" in line for line in found.warnings)
     assert found.achieved <= found.baseline
 
 
@@ -116,7 +116,7 @@ def test_every_effect_is_a_term_or_is_said_not_to_be(effect):
 def test_backlash_is_said_in_one_line(capsys):
     axis = with_effects({"kind": "backlash", "gap": 1e-4, "frequency": 60.0, "damping": 0.15, "share": 0.4})
     found = compensate(axis, PROGRAM)
-    assert found.not_compensated == {"backlash": "it has a state of its own, which position and velocity do not give"}
+    assert found.not_compensated == {"backlash": "it has a state that does not follow from position and velocity"}
     assert found.to_dict()["warnings"][0].startswith("backlash is not compensated: ")
 
 
@@ -184,8 +184,14 @@ def test_a_limit_that_does_not_let_the_axis_follow_is_said_with_how_far_it_goes(
     document = found.to_dict()
     assert document["overshoot"]["without"] < 1e-5 < 2e-3 < document["overshoot"]["with"] < 3e-3
     assert document["tracking_rms"]["with"] < 0.5 * document["tracking_rms"]["without"]
-    beyond = f"{1e3 * document['overshoot']['with']:.3g} mm beyond the reference"
+    beyond = f"overshoots the reference by up to {1e3 * document['overshoot']['with']:.3g} mm"
     assert any(beyond in text and "less acceleration" in text for text in found.warnings)
+
+
+def test_an_integral_that_winds_up_is_named():
+    axis = machine("emps2018").replace(controller={**FAST, "anti_windup": "none"})
+    found = compensate(axis, ramps(5.0, 0.3, 0.15), mismatch=0.0)
+    assert any("the integral winds up on the whole error at the limit" in text for text in found.warnings)
 
 
 def test_no_feed_forward_is_an_answer():
@@ -199,11 +205,11 @@ def test_no_feed_forward_is_an_answer():
 
 def test_what_has_nothing_to_follow_is_refused():
     axis = machine("emps2018").replace(controller={"kind": "impedance", "mass": 50.0, "damping": 100.0})
-    with pytest.raises(InputError, match="found 'impedance', which follows no reference"):
+    with pytest.raises(InputError, match="found 'impedance', which has no reference"):
         compensate(axis, PROGRAM)
     with pytest.raises(InputError, match="found 'none'"):
         compensate(machine("emps2018"), PROGRAM)
-    with pytest.raises(UnstableError, match="unstable without any feed-forward"):
+    with pytest.raises(UnstableError, match="unstable without feed-forward"):
         compensate(with_effects(controller={"kp": 900.0, "kv": 4000.0}), PROGRAM)
     with pytest.raises(InputError, match="found the term 'position_ripple', expected one of inertia, viscous"):
         compensate(with_effects(), PROGRAM, terms=("inertia", "position_ripple"))
@@ -217,7 +223,7 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert app.run([*line, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert set(document["tracking_rms"]) == {"without", "baseline", "with", "worst"}
-    assert document["terms"][-1]["note"].startswith("its phase is that of one record's zero")
+    assert document["terms"][-1]["note"].startswith("its phase refers to the encoder zero of one record")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"axis.toml", "compensation.json"}
     assert json.loads((tmp_path / "out" / "compensation.json").read_text()) == {
         key: value for key, value in document.items() if key != "out"
@@ -229,7 +235,7 @@ def test_the_command_prints_and_writes(tmp_path, capsys):
     assert app.run(["compensate", "emps2019", "--scenario", "reference"]) == 2
     assert "expected --reference FILE" in capsys.readouterr().err
     assert app.run(["compensate", "emps2019", "--scenario", "half-ramp", "--stroke", "0.1"]) == 2
-    assert "--stroke: goes with another scenario than half-ramp" in capsys.readouterr().err
+    assert "--stroke: not used by the half-ramp scenario" in capsys.readouterr().err
 
 
 # Plays of unlike axes: heavy with late loops, a cascade with a position loop, light and fast.

@@ -160,7 +160,7 @@ def test_force_goes_around_the_loop_that_the_drive_runs(capsys, tmp_path):
     line = ("force", "--k-e1", "0.004", "--environment", "1e4", "--crossover", "60", "--structure", "pi")
     assert document(capsys, *line)["structure"] == "pi"
     assert run([*line, "--out", str(tmp_path / "force.toml")]) == 2
-    assert "found a PI velocity loop, expected IP alone" in capsys.readouterr().err
+    assert "found a PI velocity loop, expected IP without filters" in capsys.readouterr().err
     assert not (tmp_path / "force.toml").exists()
 
 

@@ -158,9 +158,9 @@ LATE = [{"kind": "actuator_delay", "delay": 1e-3}]
 @pytest.mark.parametrize(
     ("effects", "filters", "said"),
     [
-        (BENT, (), "the closed form takes one rigid mass of 115.7 kg; the sampled loop has the resonance at 48"),
-        (LATE, (), "the closed form knows no effects of the axis"),
-        ([], (Filter(kind="lowpass", frequency=100.0),), "the closed forms know no filters"),
+        (BENT, (), "the closed form assumes one rigid mass of 115.7 kg; the sampled loop has the resonance at 48"),
+        (LATE, (), "the closed form neglects the effects of the axis"),
+        ([], (Filter(kind="lowpass", frequency=100.0),), "the closed forms neglect filters"),
     ],
 )
 def test_what_the_closed_form_leaves_out_is_said(effects, filters, said):

@@ -55,7 +55,7 @@ def test_the_command_says_what_its_rows_leave_out(capsys, tmp_path):
     assert (round(lagged["phase_margin_deg"], 1), round(lagged["gain_margin"], 2)) == (17.4, 2.16)
     assert {"crossover", "delay_margin"} <= lagged.keys()
     (note,) = [one for one in said["warnings"] if "gain margin is unbounded" in one]
-    assert "with every lag it has 17.4 deg of phase margin and a gain margin of 2.16" in note
+    assert "with all lags it has 17.4 deg of phase margin and a gain margin of 2.16" in note
     assert run(line.split()) == 0
     rows = capsys.readouterr().out.splitlines()
     first, second, third = (next(k for k, row in enumerate(rows) if f"phase margin of T_vo, {words}" in row)
@@ -120,14 +120,14 @@ def test_two_masses_are_the_mass_of_both():
     frictionless = BENT.replace(mechanics={"viscous": 0.0})
     assert linear_plant(frictionless).in_slow_motion == pytest.approx((BENT.mechanics.mass, 0.0), rel=1e-6, abs=1e-6)
     (said,) = carriage_in_words(BENT, linear, 0.1)
-    assert said.startswith("(7) takes one rigid mass of 115.7 kg; the sampled loop has the resonance at 47.99 Hz")
-    assert said.endswith(", 34.72 kg before it")
+    assert said.startswith("(7) assumes one rigid mass of 115.7 kg; the sampled loop has the resonance at 47.99 Hz")
+    assert said.endswith(", with 34.72 kg before it")
 
 
 def test_a_pi_design_does_not_cite_the_equation_of_ip():
     for structure, cited in ((IP, True), (PI, False)):
         warnings = design_velocity_loop(BENT, crossover=20.0, structure=structure).warnings
-        (said,) = [one for one in warnings if "takes one rigid mass" in one]
+        (said,) = [one for one in warnings if "assumes one rigid mass" in one]
         assert said.startswith("(7)") == cited
     braked = machine("emps2018-two-quadrant")
     (said,) = [one for one in design_velocity_loop(braked, 20.0, structure=PI).warnings if "friction slope" in one]
@@ -139,7 +139,7 @@ def test_a_loop_faster_than_the_fastest_says_which_limit_it_exceeds(capsys, tmp_
     fastest = reach(sample_axis(axis), 50.0).crossover
     faster = retune_velocity_loop(axis, crossover=1.05 * fastest, phase_margin_deg=50.0)
     said = faster_in_words(faster.sampled, 50.0, fastest)
-    assert "faster than the fastest within the limits: gain margin 1." in said
+    assert "is above the largest within the limits: gain margin 1." in said
     slower = retune_velocity_loop(axis, crossover=0.8 * fastest, phase_margin_deg=50.0)
     assert faster_in_words(slower.sampled, 50.0, fastest) == ""
     path = tmp_path / "axis.toml"

@@ -93,7 +93,7 @@ def test_a_coarse_encoder_and_a_low_limit_bind_first():
 
 
 def test_retune_names_the_resonance_that_binds():
-    with pytest.raises(SpecificationError, match="beside the resonance at 47.99 Hz, which binds"):
+    with pytest.raises(SpecificationError, match="near the resonance at 47.99 Hz"):
         retune_velocity_loop(BENT, crossover=80.0, phase_margin_deg=50.0)
 
 

@@ -1,6 +1,7 @@
 """The nearest specification that works, judged by a simulation of its own: the law's lines and a plant by scipy."""
 
 import math
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -169,7 +170,7 @@ def test_nothing_is_said_to_be_nothing():
         Pairs(plant, gains, lambda frequency, phase: frequency), {"crossover": 100.0, "phase_margin_deg": 60.0}
     )
     assert nothing == {}
-    assert proposal_in_words(nothing) == "no pair of a frequency and a phase margin works"
+    assert proposal_in_words(nothing) == "no pair of frequency and phase margin works"
 
 
 def test_little_room_is_told(capsys):
@@ -183,7 +184,7 @@ def test_little_room_is_told(capsys):
     assert run(["gains", "--crossover", "400", "--computation-delay", "2"]) == 4
     reason = capsys.readouterr().err
     assert "nearest that works: 60 deg at a crossover of" in reason
-    assert "samples of delay" in reason
+    assert re.search(r"delay margin \S+ samples", reason)
 
 
 def test_a_proposal_without_a_bounded_margin_has_no_empty_brackets():
@@ -193,7 +194,5 @@ def test_a_proposal_without_a_bounded_margin_has_no_empty_brackets():
 
 
 def test_a_proposal_for_a_loop_that_hardly_moves_says_what_it_has():
-    with pytest.raises(
-        SpecificationError, match=r"rad/s \(sampled: \S* deg, room for \S* samples of delay, -3 dB at 0.0"
-    ):
+    with pytest.raises(SpecificationError, match=r"rad/s \(sampled: \S* deg, delay margin \S* samples, -3 dB at 0.0"):
         design_velocity_loop(AXIS, crossover=0.01)

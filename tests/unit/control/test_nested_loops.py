@@ -170,7 +170,7 @@ def test_one_loop_is_told_once_and_no_controller_is_refused():
 
 def test_what_a_loop_of_different_rates_has_not_is_told():
     loop = axis_loop(axis_with(4))
-    with pytest.raises(InputError, match=r"loop gain: found loops of different rates, the same again after 4 samples"):
+    with pytest.raises(InputError, match=r"loop gain: found loops of different rates, periodic with 4 samples"):
         loop.loop_gain(np.array([1.0]))
     with pytest.raises(InputError, match="transfer function: found loops of different rates"):
         loop.to_tf()

@@ -80,7 +80,7 @@ def test_the_voltage_of_a_slow_axis_is_sought_until_its_peak():
 def test_a_limit_that_binds_at_the_slowest_loop_looked_at_binds_already_below():
     plant = sample_axis(SLOW)
     said = limits(SLOW, plant, reach(plant, 60.0), 60.0, IP, 1.0)["binding"]
-    assert "m/s takes more than the limit, from below" in said
+    assert "m/s exceeds the limit, from below" in said
 
 
 def test_a_loop_on_the_border_has_no_phase_margin():

@@ -95,12 +95,12 @@ def test_the_headline_is_that_of_the_worst_loop(capsys, screw):
     assert run(f"gains {screw} {LINE} --inertia-range 1:3".split()) == 4
     out, err = capsys.readouterr()
     assert out.splitlines()[0].endswith("over the range of loads, is UNSTABLE")
-    assert "nearest that holds: --position-kp" in err
+    assert "nearest that is stable: --position-kp" in err
 
 
 def test_a_position_gain_that_leaves_little_is_named_with_one_that_leaves_more(capsys, screw):
     said = document(capsys, f"gains {screw} {LINE}")
-    (warning,) = [one for one in said["warnings"] if one.startswith("the whole loop has 5.4 deg")]
+    (warning,) = [one for one in said["warnings"] if one.startswith("the whole loop has only 5.4 deg")]
     kp = float(warning.split("--position-kp ")[1].split()[0])
     better = document(capsys, f"gains {screw} {LINE} --position-kp {kp}")
     assert all(loop["phase_margin_deg"] >= 30.0 for loop in better["position_loop"]["loops"])
@@ -162,7 +162,7 @@ def test_a_force_loop_runs_without_contact_too(capsys, tmp_path):
     line = f"force --k-e1 1e-5 --hand 1e5 --crossover 380 --out {tmp_path / 'out.toml'}"
     said = document(capsys, line, 4)
     assert not said["stable"]
-    assert said["reason"].startswith("the sampled velocity loop is unstable by itself, without contact; nearest")
+    assert said["reason"].startswith("the sampled velocity loop is unstable without contact; nearest")
     assert not (tmp_path / "out.toml").exists()
     slower = said["nearest"]["crossover"]
     assert document(capsys, f"force --k-e1 1e-5 --hand 1e5 --crossover {slower} --phase-margin 60")["stable"]

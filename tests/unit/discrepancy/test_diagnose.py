@@ -73,7 +73,7 @@ def test_the_transmission_of_an_upright_axis_is_loaded_by_the_weight(weight):
 
 
 def test_the_document_has_what_the_contract_asks(delayed):
-    document = Terminal().plain(delayed.to_dict())
+    document = Terminal().json_data(delayed.to_dict())
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert document["schema"] == "emps-design/diagnosis/1"
     for gap in (document["gap"], document["gap_inverse_60hz"]):
@@ -101,7 +101,7 @@ def test_the_same_seed_gives_the_same_document_on_any_number_of_cores(delayed, c
     assert rules.CORES == 2  # with which `delayed` was found
     monkeypatch.setattr(parallel, "_idle_cores", threading.Semaphore(cores - 1))
     again = diagnose(record(DELAYED), AXIS, holdout=record(DELAYED, seed=1, name="other"), library=SHORT)
-    assert json.dumps(Terminal().plain(again.to_dict())) == json.dumps(Terminal().plain(delayed.to_dict()))
+    assert json.dumps(Terminal().json_data(again.to_dict())) == json.dumps(Terminal().json_data(delayed.to_dict()))
 
 
 def test_a_healthy_record_has_nothing_missing():

@@ -1,4 +1,4 @@
-"""When something happened: an interval of all instants that the record cannot tell apart holds the true one."""
+"""When something happened: an interval of all instants that the record does not separate holds the true one."""
 
 import numpy as np
 import pytest

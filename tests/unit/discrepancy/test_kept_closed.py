@@ -86,7 +86,7 @@ def test_a_diagnosis_of_another_record_is_not_replaced_without_being_asked(folde
     assert error.count("\n") == 1
     (out / "diagnosis.json").write_text("{}", encoding="utf-8")
     assert command(["diagnose", str(folder / "other.npz"), "--axis", "emps2019", "--out", str(out)]) == 2
-    assert "is no diagnosis that can be read" in capsys.readouterr().err
+    assert "is not a readable diagnosis" in capsys.readouterr().err
 
 
 def test_what_happens_in_the_part_kept_closed_opens_it():

@@ -88,7 +88,7 @@ def test_the_environment_names_files(own_file, tmp_path):
         ("1 / 0", "ZeroDivisionError: division by zero"),
         ("EFFECT = 3", "found EFFECT = 3, expected an emps_design.effects.Effect"),
         ("x = 1", "found EFFECT = None"),
-        (OWN.replace('"air_drag"', '"backlash"'), "effect backlash: the package has one of that name, choose another"),
+        (OWN.replace('"air_drag"', '"backlash"'), "effect backlash: the package already has that name; choose another"),
         (
             OWN.replace('source="a user"', 'source="a user", channel="air"'),
             "channel 'air', expected one of controller, actuator",

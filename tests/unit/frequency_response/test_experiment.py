@@ -108,7 +108,9 @@ def test_passes_that_break_a_limit_by_themselves_are_refused():
         },
         effects=[],
     )
-    with pytest.raises(InputError, match="speed limit: the passes alone reach .* m/s, expected at most 0.019 m/s"):
+    with pytest.raises(
+        InputError, match="speed limit: the passes without excitation reach .* m/s, expected at most 0.019 m/s"
+    ):
         design_experiment(axis, Limits(0.08, speed=0.019), 0.01, low=3.0, high=150.0, resolution=2.0)
 
 
@@ -181,7 +183,7 @@ def test_the_speed_is_just_below_the_asked_one_and_no_whole_number_of_steps_in_a
 
 def test_both_speeds_are_told(capsys):
     assert command(["excite", "emps2019", "--stroke", "0.5", "--speed", "0.05", "--resolution", "1"]) == 0
-    assert re.search(r"passes at 0\.0[45]\d* m/s \(asked: 0\.05\)", " ".join(capsys.readouterr().out.split()))
+    assert re.search(r"passes at 0\.0[45]\d* m/s \(requested: 0\.05\)", " ".join(capsys.readouterr().out.split()))
 
 
 def test_the_velocity_at_the_reference_is_told_against_the_passes_not_against_what_is_added():
@@ -216,7 +218,7 @@ def test_the_command_falls_with_frequency_and_lines_are_odd():
     [
         (
             {"limits": Limits(0.05)},
-            "stroke: found 0.05 m, where a pass at 0.05 m/s can be excited for .* expected at least",
+            "stroke: found 0.05 m: a pass at 0.05 m/s can be excited for .* expected at least",
         ),
         ({"high": 500.0}, "frequency: found 500 Hz, expected less than the Nyquist frequency, 500 Hz"),
         ({"low": 0.0}, "frequencies: found 0 to 400 Hz"),
@@ -224,7 +226,7 @@ def test_the_command_falls_with_frequency_and_lines_are_odd():
         ({"low": 10.0, "high": 14.0, "resolution": 1.0}, "resolution: found .* lines in the band"),
         ({"speed": 0.0}, "speed: found 0, expected a positive number"),
         ({"limits": Limits(0.5, speed=0.05)}, "speed: found passes at 0.05 m/s, expected less than the limit"),
-        ({"limits": Limits(0.5, force=10.0)}, "force limit: steady motion at 0.05 m/s leaves no room"),
+        ({"limits": Limits(0.5, force=10.0)}, "force limit: steady motion at 0.05 m/s leaves no margin"),
         ({"steps": 3}, "steps: found 3, expected at least 4 lines"),
         ({"limits": Limits(0.5, force=float("nan"))}, "force limit: found nan, expected a positive number"),
         ({"limits": Limits(0.5, jerk=float("nan"))}, "jerk limit: found nan, expected a positive number"),
@@ -273,7 +275,7 @@ def test_the_circle_closes_without_a_drive(tmp_path, capsys):
     document = json.loads(capsys.readouterr().out)
     assert document["lines"] == len(document["expected_std"])
     assert command(line) == 0
-    assert "expected of" in capsys.readouterr().out
+    assert "expected for" in capsys.readouterr().out
     assert command(["simulate", axis, "--reference", program, "--out", record, "--json"]) == 0
     capsys.readouterr()
     assert command(["frf", record, "--axis", axis, "--json"]) == 0

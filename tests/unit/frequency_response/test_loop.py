@@ -149,11 +149,13 @@ def test_what_cannot_be_retuned_says_what_can():
 def test_what_the_data_do_not_reach_is_said():
     axis = machine("emps2019")
     narrow = measured(axis, 0.01, np.arange(30.0, 60.0))
-    assert any("a crossover below it is not seen" in warning for warning in measured_margins(narrow, axis).warnings)
+    assert any(
+        "a crossover below it cannot be detected" in warning for warning in measured_margins(narrow, axis).warnings
+    )
     slow = measured(axis, 0.01, np.arange(1.0, 20.0))
     words = measured_margins(slow, axis).warnings
-    assert any("a crossover above it is not seen" in warning for warning in words)
-    assert any("beyond the data, on their mass line" in warning for warning in words)
+    assert any("a crossover above it cannot be detected" in warning for warning in words)
+    assert any("outside the data, where the response is extrapolated as a mass" in warning for warning in words)
 
 
 @pytest.mark.parametrize(("every", "kp"), quick([(2, 900.0), (4, 200.0), (7, 400.0)], 1, "slower rates"))
@@ -179,10 +181,10 @@ def test_rates_too_far_apart_and_lines_beyond_nyquist_are_refused():
     with pytest.raises(InputError, match="found a line at 600 Hz, expected less than the Nyquist frequency"):
         measured_margins(measured(axis, f=np.arange(1.0, 601.0)), axis)
     slow = {**CASCADE, "position": {"kp": 20.0, "every": 33}}
-    with pytest.raises(InputError, match="the same again after 33 samples, expected at most 32"):
+    with pytest.raises(InputError, match="a period of 33 samples, expected at most 32"):
         measured_margins(measured(axis), axis.replace(controller=slow))
     law = linear_law(law_of(axis.replace(controller=slow), 1e-3), 1e-3)
-    with pytest.raises(InputError, match="loops of different rates"):
+    with pytest.raises(InputError, match="loops at different rates"):
         law_response(law, F, 1e-3)
 
 
@@ -213,7 +215,7 @@ def test_gains_on_a_response(tmp_path, capsys):
         for margin in MARGINS:  # of the gains that were found on the masses, on the data
             assert side["measured"][margin] == pytest.approx(side["margins"][margin], rel=0.05), (name, margin)
     assert command([*line, "--retune"]) == 0
-    assert "found on the masses that fit two, then tried on the data" in capsys.readouterr().out
+    assert "designed on the masses that fit two, then checked on the data" in capsys.readouterr().out
     assert retuned["crossover"] == pytest.approx(40.0, rel=1e-3)
     assert retuned["phase_margin_deg"] == pytest.approx(60.0, rel=1e-3)
 
@@ -239,7 +241,7 @@ def test_limits_of_the_sensitivity_below_and_above_the_antiresonance(tmp_path, c
         "sensitivity_peak_below": pytest.approx(10.0**0.3),
         "sensitivity_peak_above": 1.2,
     }
-    words = f"sensitivity above the first antiresonance is {found['sensitivity_peak_above']:.4g}, asked for at most 1.2"
+    words = f"sensitivity above the first antiresonance is {found['sensitivity_peak_above']:.4g}, requested at most 1.2"
     assert found["sensitivity_peak_above"] > 1.2
     assert [words in warning for warning in document["warnings"]].count(True) == 1
     assert not any("sensitivity below" in warning for warning in document["warnings"])
@@ -306,7 +308,10 @@ def test_gains_that_the_measured_plant_does_not_bear(tmp_path, capsys):
         (["--bandwidth", "50", "--retune"], "--retune with --frf: found a bandwidth, expected --crossover"),
         (["--crossover", "50", "--retune", "--frf", "{path}"], "found 2 responses to retune on, expected one"),
         (["--crossover", "50", "--frf", "none.csv"], "none.csv: No such file"),
-        (["--crossover", "50", "--sensitivity-peak-below", "0"], "found '0', expected a positive number, or such as"),
+        (
+            ["--crossover", "50", "--sensitivity-peak-below", "0"],
+            "found '0', expected a positive number, or one such as",
+        ),
         (["--crossover", "50", "--sensitivity-peak-above", "1e9dB"], "ratio: found 1e+10, expected a magnitude of at"),
     ],
 )

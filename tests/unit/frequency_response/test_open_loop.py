@@ -63,7 +63,7 @@ def test_a_record_with_gaps_is_taken_as_its_pieces():
     found, bridged = (estimate_response(one, axis) for one in (record, as_one(record)))
     assert np.mean(errors(found, axis) <= BAND) >= 0.95
     assert np.median(bridged.response.std) > 2.0 * np.median(found.response.std)
-    assert found.warnings[0] == "open: taken as 2 pieces, what lies between takes no part"
+    assert found.warnings[0] == "open: used as 2 pieces, without the gaps between them"
     assert found.seconds == pytest.approx(22.8, abs=0.01)
 
 
@@ -95,9 +95,7 @@ def test_one_sine_per_record(step):
     assert found.response.frequency == pytest.approx([1.0, 3.0, 5.0, 8.0, 16.0, 20.0])
     assert np.all(found.response.coherence > 0.9)
     assert np.all(errors(found, axis) < 3.0)
-    with pytest.raises(
-        RecordError, match=r"found 1 step at .* at least 4; give the records of the other lines with it"
-    ):
+    with pytest.raises(RecordError, match=r"found 1 step at .* at least 4; give the records of the other lines too"):
         estimate_response(records[0], axis)
 
 
@@ -116,7 +114,7 @@ def test_the_command_is_the_excitation_in_open_loop_alone():
 def test_a_record_without_a_reference_is_told_what_excites_it():
     axis = rigid(5.0, 1.0, 1e-3)
     record = replace(driven(axis, np.random.default_rng(4).standard_normal(4000)), excitation=None)
-    with pytest.raises(RecordError, match=r"of a record made in open loop .*, `instrument='command'`"):
+    with pytest.raises(RecordError, match=r"for a record made in open loop .*, `instrument='command'`"):
         estimate_response(record, axis)
     assert len(estimate_response(record, axis, instrument="command").response) > 50
 

@@ -104,11 +104,11 @@ def test_steps_that_repeat_are_in_the_deviations_and_are_told():
         found = estimate_response(experiment(axis, seed, volts=1.0, newtons=0.2), axis)
         error = np.abs(found.response.response / exact(axis, found.response.frequency) - 1.0)
         inside.append(np.mean(error <= BAND * found.response.std))
-        assert any("the encoder's steps repeat with the excitation" in warning for warning in found.warnings)
+        assert any("the quantisation error repeats with the excitation" in warning for warning in found.warnings)
     assert min(inside) >= 0.9
 
 
 def test_steps_that_do_not_repeat_are_not_told():
     axis = two_mass().replace(sampling={"encoder_resolution": 2e-7})
     found = estimate_response(experiment(axis, 1, volts=1.0, newtons=0.2, speed=0.0499618), axis)
-    assert not any("the encoder's steps repeat" in warning for warning in found.warnings)
+    assert not any("the quantisation error repeats" in warning for warning in found.warnings)

@@ -50,7 +50,7 @@ def test_no_share_of_a_force_that_is_nothing(folder, tmp_path, capsys):
     Record.from_arrays(day.period, day.q_ref, day.q, off).save(path)
     assert run(["identify", str(path)]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    assert "N rms, where there is no force to compare it with" in text
+    assert "N rms, where the force is 0" in text
     assert run(["identify", str(path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["held_out"]["relative_error_percent"] is None
 
@@ -81,16 +81,16 @@ def test_the_table_of_ten_records_fits_a_terminal(folder, capsys):
         (["--external-force", "maybe"], "--external-force: found 'maybe', expected one of refuse, known"),
         (["--filter", "holt"], "did you mean 'hold'"),
         (["--cutoff", "900"], "Nyquist"),
-        (["--estimator", "iv", "--holdout", "other.npz"], "--holdout: goes with --estimator ls, found iv"),
+        (["--estimator", "iv", "--holdout", "other.npz"], "--holdout: requires --estimator ls, found iv"),
         (
             ["--estimator", "oe", "--filter", "paper", "--bootstrap", "200", "--cutoff", "40"],
-            "--filter, --bootstrap: goes with --estimator ls, found oe",
+            "--filter, --bootstrap: requires --estimator ls, found oe",
         ),
-        (["--estimator", "iv", "--filter", "hold"], "--filter: goes with --estimator ls, found iv"),
+        (["--estimator", "iv", "--filter", "hold"], "--filter: requires --estimator ls, found iv"),
         (["--filter", "paper", "--cutoff", "40"], "cut-off: the paper's chain has none"),
-        (["--seed", "3"], "--seed: goes with --bootstrap"),
-        (["day1.npz", "--bootstrap", "9"], "--bootstrap: goes with one record, found 2"),
-        (["day1.npz", "--holdout", "day2.npz"], "--holdout: goes with one record, found 2"),
+        (["--seed", "3"], "--seed: requires --bootstrap"),
+        (["day1.npz", "--bootstrap", "9"], "--bootstrap: requires a single record, found 2"),
+        (["day1.npz", "--holdout", "day2.npz"], "--holdout: requires a single record, found 2"),
         (["day1.npz", "--estimator", "iv"], "--estimator: iv takes one record, found 2"),
     ],
 )
@@ -105,7 +105,7 @@ def test_identify_refuses_in_one_line(folder, capsys, options, words):
 
 def test_options_are_checked_before_a_record_is_read(capsys):
     assert run(["identify", "nothing.csv", "--seed", "3"]) == 2
-    assert "--seed: goes with --bootstrap" in capsys.readouterr().err
+    assert "--seed: requires --bootstrap" in capsys.readouterr().err
 
 
 def test_what_a_record_lacks_is_said_in_the_units_of_its_axis(tmp_path, capsys):
@@ -162,8 +162,8 @@ def test_observe_is_told_of_an_injected_voltage(folder, capsys):
         assert document[method]["rms_error"] > document[method]["steps"]["rms_error_away_from_edges"]
     assert run(["observe", path, "--injected", "wave:3.0"]) == 0
     text = capsys.readouterr().out
-    assert all(word in text for word in ("delay [ms]", "rise [ms]", "edges", "known from and to"))
-    wrongs = (("wafe:3.0", "further column of wave: wave"), ("gain:1", "expected COLUMN:VOLTS"), ("wave:x", "'x'"))
+    assert all(word in text for word in ("delay [ms]", "rise [ms]", "edges", "valid from and to"))
+    wrongs = (("wafe:3.0", "additional column of wave: wave"), ("gain:1", "expected COLUMN:VOLTS"), ("wave:x", "'x'"))
     for wrong, words in wrongs:
         assert run(["observe", path, "--injected", wrong]) == 2
         err = capsys.readouterr().err
@@ -180,7 +180,7 @@ def test_what_was_found_is_shown_even_where_it_is_no_machine(folder, tmp_path, c
     assert run(["identify", str(tmp_path / "helped.npz"), "--json", "--out", str(out)]) == 2
     printed = capsys.readouterr()
     assert json.loads(printed.out)["parameters"]["coulomb"]["value"] < 0.0
-    assert printed.err.strip().endswith("diagnose names it")
+    assert printed.err.strip().endswith("biases them; next: diagnose")
     assert not out.exists()
 
 

@@ -66,7 +66,7 @@ def test_output_error_is_taken_for_a_mass_that_noise_hides_from_the_others():
     assert found.estimator == "output_error"
     low, high = found.parameters["mass"].interval_95
     assert low < 200.0 < high < 1.03 * low
-    assert found.warnings[-1].startswith("mass: by output error, for the measured motion is noise there")
+    assert found.warnings[-1].startswith("mass: by output error: its column of the measured motion is mostly noise")
     assert found.extra["held_out"]["on"] == record.name
     assert "hausman_test" in found.extra
 

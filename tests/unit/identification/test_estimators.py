@@ -75,7 +75,7 @@ def test_what_was_not_tested_is_said(simulate):
     noisy = simulate(0, std=25.0, time=0.005)
     for axis, options in ((AXIS, {"bootstrap": 20}), (AXIS.replace(controller={"kp": 4e3}), {})):
         said = identify(noisy, axis, **options).warnings[-1]
-        assert said.startswith("whether least squares is biased was not tested: ")
+        assert said.startswith("the bias of least squares was not tested: ")
 
 
 def test_noise_of_the_measured_voltage_biases_nothing(simulate, truth):
@@ -158,7 +158,7 @@ def test_output_error_does_without_a_stretch_away_from_rest(reference_plant, tru
     with pytest.raises(RecordError, match="rows away from rest at a cut-off of 20 Hz, expected at least 160"):
         identify(record, AXIS, cutoff=20.0)
     alone = identify_by_output_error(record, AXIS, cutoff=40.0)
-    assert "so rests take part" in " ".join(alone.warnings)
+    assert "so rests are included" in " ".join(alone.warnings)
     assert alone.parameters["mass"].value == pytest.approx(truth["mass"], rel=0.01)
 
 

@@ -134,8 +134,8 @@ def test_one_speed_one_way_tells_nothing_and_says_what_to_record(record):
     found = identify(replace(record, q=record.t * 0.01, q_ref=record.t * 0.01), AXIS)
     assert not any(one.determined for one in found.parameters.values())
     warnings = " ".join(found.warnings)
-    assert "includes more than all of the force; record several speeds both ways" in warnings
-    assert "the motion goes one way only" in warnings
+    assert "includes more than the whole force; record several speeds in both directions" in warnings
+    assert "the motion has one direction only" in warnings
 
 
 def test_rank_deficiency_names_the_columns():
@@ -296,7 +296,7 @@ def test_a_force_sensor_nobody_touches_is_no_external_force(record, simulate):
     plain = identify(record, AXIS)
     seen = identify(replace(record, f_ext=noise), AXIS)
     assert seen.values().tolist() == plain.values().tolist()
-    assert "f_ext: its 0.05 N rms are taken for sensor noise and left out" in " ".join(seen.warnings)
+    assert "f_ext: its 0.05 N rms are treated as sensor noise and ignored" in " ".join(seen.warnings)
     with pytest.raises(RecordError, match="an external force of 30 N rms acts"):
         identify(replace(record, f_ext=np.full(len(record), 30.0)), AXIS)
     with pytest.raises(RecordError, match="simulated-9: an external force of 30 N rms acts"):
@@ -317,6 +317,6 @@ def test_slow_sampling_says_what_to_use_instead(record):
         identify(tenth, AXIS, filter="report")
     assert identify(tenth, AXIS).parameters["mass"].value == pytest.approx(AXIS.mechanics.mass, rel=0.02)
     with pytest.raises(
-        RecordError, match="tenth: no simulation with the controller of emps2019 at 100 Hz .* another one"
+        RecordError, match="tenth: the simulation with the controller of emps2019 at 100 Hz .* another one"
     ):
         identify(tenth, AXIS, estimator="iv")

@@ -60,8 +60,11 @@ def test_an_asymmetry_in_the_axis_is_identified_anew(record):
 def test_it_is_said_what_was_done_with_each_effect(record):
     warnings = identify(record, AXIS.replace(effects=[RIPPLE, LATE, FLEXIBLE])).warnings
     assert "taken as known from emps2019, and kept in the identified axis: position_ripple, actuator_delay" in warnings
-    assert any("does not give their force: flexible_coupling; they bias mass" in text for text in warnings)
-    assert "right only if the axis was made from this record, by phase or time: position_ripple" in warnings
+    assert any("does not follow from the motion: flexible_coupling; they bias mass" in text for text in warnings)
+    assert (
+        "valid only if the axis was identified from this record, because of their phase or time: position_ripple"
+        in warnings
+    )
     assert not np.any(["known" in text for text in identify(record, AXIS).warnings])
 
 

@@ -23,24 +23,26 @@ def said(record, **options):
 def test_a_flipped_sign_is_named(record, model, chain):
     warning = said(replace(record, u=-record.u), model=model, filter=chain)
     assert "no axis has mass -95" in warning
-    assert "the sign of u is probably flipped" in warning
+    assert "the sign of u is probably opposite to that of q" in warning
 
 
 @pytest.mark.parametrize("estimate", [identify_with_instruments, identify_by_output_error])
 def test_a_simulation_that_cannot_start_says_it_too(record, estimate):
-    with pytest.raises(RecordError, match="mass came out as -95.*the sign of u is probably flipped"):
+    with pytest.raises(
+        RecordError, match="mass was identified as -95.*the sign of u is probably opposite to that of q"
+    ):
         estimate(replace(record, u=-record.u), AXIS)
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda r: replace(r, u=1e-3 * r.u), "u (or the force gain) in another unit gives, 1000 times too small"),
-        (lambda r: replace(r, u=0.01 * r.u), "u (or the force gain) in another unit gives, 100 times too small"),
-        (lambda r: replace(r, q=1e3 * r.q, q_ref=1e3 * r.q_ref), "q (and q_ref) in another unit gives, 1000 times"),
+        (lambda r: replace(r, u=1e-3 * r.u), "u (or the force gain) in another unit, 1000 times too small"),
+        (lambda r: replace(r, u=0.01 * r.u), "u (or the force gain) in another unit, 100 times too small"),
+        (lambda r: replace(r, q=1e3 * r.q, q_ref=1e3 * r.q_ref), "q (and q_ref) in another unit, 1000 times"),
         (
             lambda r: replace(r, t=1e3 * r.t, period=1e3 * r.period),
-            "t in another unit gives, 1000 times too large",
+            "t in another unit, 1000 times too large",
         ),
     ],
 )

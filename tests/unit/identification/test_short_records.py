@@ -59,7 +59,7 @@ def test_one_way_tells_inertia_viscous_friction_and_a_sum(both):
         assert list(found.parameters) == ["mass", "viscous", "coulomb", "constant_force", "coulomb_and_offset"]
         assert not found.parameters["coulomb"].determined
         assert not found.parameters["constant_force"].determined
-        assert any("one way only" in warning and "both records" in warning for warning in found.warnings)
+        assert any("one direction only" in warning and "both records" in warning for warning in found.warnings)
         with pytest.raises(AxisError, match="coulomb, constant_force not determined"):
             found.to_axis()
 
@@ -70,7 +70,7 @@ def test_a_pair_tells_all(both):
     assert {name: one.value for name, one in found.parameters.items()} == pytest.approx(wanted, rel=0.03)
     assert found.record == "pos + neg"
     assert found.to_axis().mechanics.offset == pytest.approx(OFFSET, rel=0.03)
-    with pytest.raises(InputError, match="found 'iv', expected 'ls' for records that go one way each"):
+    with pytest.raises(InputError, match="found 'iv', expected 'ls' for records with one direction each"):
         identify_together(both, MOTOR, estimator="iv")
 
 
@@ -111,7 +111,7 @@ def test_speeds_that_are_constant_tell_no_mass():
     record = Record.from_arrays(5e-3, q, q, 49.0 + 5.0 * np.sign(v) + wave, layout=layout_of(piston))
     found = identify(replace(record, q_ref_recorded=False), piston)
     assert not found.parameters["mass"].determined
-    assert any("speeds are constant" in warning or "more than all" in warning for warning in found.warnings)
+    assert any("the speed is constant" in warning or "more than the whole" in warning for warning in found.warnings)
     assert not any("no axis has mass" in warning for warning in found.warnings)
     assert found.parameters["constant_force"].value == pytest.approx(49.0, abs=0.3)
     assert found.parameters["coulomb"].value == pytest.approx(5.0, abs=0.5)

@@ -158,7 +158,7 @@ def test_the_work_of_a_hand_tells_neither_inertia_nor_friction():
     for name in ("mass", "viscous", "coulomb"):
         assert not found.parameters[name].determined
         said = next(text for text in found.warnings if text.startswith(f"{axis.units.word(name)} is not determined"))
-        assert "record motion that the motor makes" in said or "record acceleration" in said
+        assert "record motion that the motor causes" in said or "record more of it" in said
 
 
 def test_a_weight_on_a_line_is_the_constant_force():
@@ -171,7 +171,7 @@ def test_a_weight_on_a_line_is_the_constant_force():
 def test_what_is_no_term_is_refused():
     with pytest.raises(InputError, match="did you mean 'gravity'"):
         identify(recorded(JOINT, speeds=(1.6,)), JOINT, with_="gravty")
-    with pytest.raises(InputError, match="bent-viscous goes with"):
+    with pytest.raises(InputError, match="bent-viscous requires"):
         identify(recorded(JOINT, speeds=(1.6,)), JOINT, model="asymmetric", with_=["bent-viscous"])
 
 

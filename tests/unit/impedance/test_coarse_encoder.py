@@ -22,5 +22,5 @@ def test_the_encoder_decides_where_the_poles_do_not(step, runs):
     found = assess_impedance(axis, 1e-4, 1e-3, None, 2000.0).to_dict()
     assert found["sampled"]["stable"]
     assert (found["sampled"]["simulated"] != "unstable") == runs
-    said = any("simulated load keeps swinging" in text for text in found["warnings"])
+    said = any("simulated load keeps oscillating" in text for text in found["warnings"])
     assert said == (found["sampled"]["simulated"] in SWINGS)

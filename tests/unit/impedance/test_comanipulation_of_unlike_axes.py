@@ -107,7 +107,7 @@ def test_the_text_names_the_law_and_what_was_taken(capsys, tmp_path):
     assert run([*asked, "--damping", "0.5", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["asked"] == {"apparent_mass": 0.1, "apparent_damping": 0.5}
-    assert "M_a = 0.1 kg, not given: as in the paper's experiments, in proportion to the mass" in err
+    assert "M_a = 0.1 kg: default of the paper's experiments, in proportion to the mass" in err
 
 
 def test_a_task_of_a_given_length_moves_a_joint_as_far():

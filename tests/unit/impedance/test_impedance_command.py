@@ -159,7 +159,7 @@ def test_zero_damping_is_said_to_coast(capsys):
     found = json.loads(out)
     assert status == 0
     assert found["equivalent_loop"]["k_e1"] is None
-    assert any("nothing brings the released carriage to rest" in warning for warning in found["warnings"])
+    assert any("the released carriage does not come to rest" in warning for warning in found["warnings"])
 
 
 @QUICK

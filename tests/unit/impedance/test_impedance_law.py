@@ -200,6 +200,6 @@ def test_an_equivalent_loop_that_the_drive_cannot_run_says_so(axis):
     found = equivalent_loop(late, 80.0, 100.0)
     assert not found.stable
     assert found.to_dict()["sampled"] == {"stable": False, "largest_pole": pytest.approx(1.0317, abs=1e-4)}
-    assert any("its sampled velocity loop would be unstable, largest pole 1.032" in word for word in found.warnings)
+    assert any("the sampled velocity loop would be unstable, largest pole 1.032" in word for word in found.warnings)
     assert equivalent_loop(axis, 80.0, 100.0).stable
     assert equivalent_loop(late, 80.0, 100.0, input_crossover=200.0).stable

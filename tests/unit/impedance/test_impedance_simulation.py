@@ -309,7 +309,7 @@ def test_what_is_not_a_number_has_a_word(axis):
     assert "error is undefined" in words
     weak = mismatch_study(axis, impedance_law(axis, 50.0, 100.0), 0.0, 5, task=pushed_task(1e-3, force=5.0))
     assert len(weak.warnings) == 1
-    assert weak.warnings[0].startswith("no verdict for 6 of 6 plants: the carriage stood when it was let go")
+    assert weak.warnings[0].startswith("no verdict for 6 of 6 plants: the carriage was at rest at the release")
 
 
 def test_interval_covers_all_stable_as_clopper_pearson(axis):

@@ -62,7 +62,7 @@ def test_a_law_that_swings_though_its_poles_are_stable_gets_one_that_does_not():
     other = document["nearest"]
     law = impedance_law(AXIS, other["mass"], other["damping"], other["filter"])
     assert run_task(AXIS, law, fitted_task(AXIS, law)).verdict not in SWINGS
-    (said,) = (text for text in document["warnings"] if "keeps swinging" in text)
+    (said,) = (text for text in document["warnings"] if "keeps oscillating" in text)
     assert f"nearest stable: mass {other['mass']:.4g} kg" in said
 
 
@@ -72,8 +72,11 @@ def test_an_axis_that_friction_does_not_hold_sinks_and_no_coulomb_factor_helps(n
     found = assess_impedance(HANGING, 20.0, 50.0, 0.02, plants=10).to_dict()
     assert found["mismatch"]["coulomb_factor_without_creep"] is None
     assert found["sampled"]["simulated"] == "creeping"
-    assert any("exceeds dry friction by 48 N" in text and "the axis sinks" in text for text in found["warnings"])
-    assert any("no Coulomb factor rules it out" in text for text in found["warnings"])
+    assert any(
+        "exceeds dry friction by 48 N" in text and "hold the axis at rest: it sinks" in text
+        for text in found["warnings"]
+    )
+    assert any("no Coulomb factor prevents it" in text for text in found["warnings"])
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.9804])

@@ -161,8 +161,8 @@ def test_a_rotary_axis_with_a_current_has_its_own_units():
 def test_a_linear_axis_has_millimetres_and_newtons():
     text = " | ".join(cautions(axis_of("linear, V", offset=-30.0)))
     assert "the constant force exceeds dry friction by 10 N, and" in text
-    assert "makes the released carriage creep at up to 12.3 mm/s; a Coulomb factor of 0.9 rules it out" in text
-    assert "comes to rest up to 1.2e+04 N/m; beyond" in text
+    assert "makes the released carriage creep at up to 12.3 mm/s; a Coulomb factor of 0.9 prevents it" in text
+    assert "of up to 1.2e+04 N/m the carriage comes to rest" in text
     assert "largest_wall_stiffness is unbounded: stable up to 1 GN/m" in text
 
 

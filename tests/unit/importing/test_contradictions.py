@@ -87,17 +87,20 @@ DAMAGED = {
     "position low-passed": (lambda r: replace(r, q=low_passed(r.q)), ""),
     "command low-passed": (lambda r: replace(r, u=low_passed(r.u)), "behind a low-pass of about 5 Hz"),
     "command in steps": (half_amps, "the command is recorded in steps of 0.5 A"),
-    "1 in 100 lost": (lambda r: rows(r, np.arange(len(r)) % 100 != 99), "q leaps ahead at"),
-    "1 in 5 lost": (EVERY_FIFTH, "q leaps ahead at"),
+    "1 in 100 lost": (lambda r: rows(r, np.arange(len(r)) % 100 != 99), "q jumps ahead at"),
+    "1 in 5 lost": (EVERY_FIFTH, "q jumps ahead at"),
     "rows repeated": (TWICE, "rows repeated"),
     "every second command": (
         lambda r: replace(r, u=np.where(np.arange(len(r)) % 2, r.u, another(r))),
-        "it is another signal's in some of every 2 samples",
+        "some of every 2 samples",
     ),
-    "all commands": (lambda r: replace(r, u=another(r)), "is added to what the law gives, or the command is another"),
+    "all commands": (lambda r: replace(r, u=another(r)), "or it is from another controller or axis"),
     "exchanged": (lambda r: replace(r, q=r.q_ref, q_ref=r.q), "q and q_ref are exchanged"),
-    "gain doubled": (lambda r: replace(r, u=np.where(half(r), 1.0, 2.0) * r.u), "s on the command is 1.99 times what"),
-    "one sample": (one_of_900, "one sample, 900 A at 4 s, is far from what the law gives"),
+    "gain doubled": (
+        lambda r: replace(r, u=np.where(half(r), 1.0, 2.0) * r.u),
+        "s on the command is 1.99 times that",
+    ),
+    "one sample": (one_of_900, "one sample, 900 A at 4 s, is far from the command of the law"),
     "late": (lambda r: replace(r, u=np.roll(r.u, 20)), "20 samples later than reference and position"),
 }
 
@@ -119,17 +122,17 @@ def test_a_law_without_a_memory_does_not_hide_odd_increments(servo, damage):
 
 def test_a_position_whose_rounding_hides_the_law_is_judged_by_its_motion(stage):
     (said,) = with_contradictions(STAGE, held_for(stage, "q", 10)).contradictions
-    assert said.startswith("q stands still at 82 % of the samples in full motion: values are held")
+    assert said.startswith("q does not change at 82 % of the samples in full motion: values are held")
 
 
 WITHOUT_A_LAW = {
     "command in steps": "u: recorded in steps of 0.5, ",
-    "1 in 5 lost": "q leaps ahead at",
+    "1 in 5 lost": "q jumps ahead at",
     "rows repeated": "values are held, or rows repeated",
     "position held": "values are held, or rows repeated",
-    "every second command": "every second sample is another signal's",
+    "every second command": "every second sample is from another signal",
     "gain doubled": "mass and friction alike",
-    "one sample": "and the axis does not answer it",
+    "one sample": "and the axis does not respond to it",
     "late": "earlier than it was recorded",
 }
 
@@ -171,7 +174,7 @@ def test_what_was_added_to_the_command_and_recorded_is_no_contradiction(stage):
     record = replace(stage, u=stage.u + added, excitation=added)
     assert with_contradictions(STAGE, record).contradictions == ()
     (said,) = with_contradictions(STAGE, replace(record, excitation=None)).contradictions
-    assert "up to 1.01 A is added to what the law gives" in said or "up to 1 A is added to what the law gives" in said
+    assert "differs from the law by up to 1.01 A" in said or "differs from the law by up to 1 A" in said
 
 
 def test_a_record_of_another_period_is_not_held_against_the_law(stage):
@@ -209,7 +212,7 @@ def test_diagnose_and_frf_carry_it(stage, tmp_path):
     path = tmp_path / "record.npz"
     replace(stage, u=1.5 * stage.u).save(path)
     record = import_record(path, STAGE)
-    assert any("times what the law gives" in text for text in check_records((record,), STAGE))
+    assert any("times that of the law" in text for text in check_records((record,), STAGE))
 
 
 def test_the_embedded_machine_reads_its_own_records():

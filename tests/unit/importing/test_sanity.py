@@ -69,7 +69,10 @@ def test_a_good_export_passes_without_a_word(axis, columns):
             lambda c: {"q": 1e-3 * c["q"], "q_ref": 1e-3 * c["q_ref"]},
             r"motion that (9|1)\S* times the mass of the axis would make under this command",
         ),
-        (lambda c: {"q": -c["q"]}, "motion against the reference, expected along it; one of them needs sign = -1"),
+        (
+            lambda c: {"q": -c["q"]},
+            "opposite to the reference, expected the same direction; one of them needs sign = -1",
+        ),
         (lambda c: {"q": c["q_ref"], "q_ref": c["q"]}, "columns q and q_ref: .*; are they exchanged in .record.?"),
         (lambda c: {"q": c["u"], "u": c["q"]}, "q and u: found a position that is rougher than the command"),
         (lambda c: {"q_ref": c["u"], "u": c["q_ref"]}, "q_ref and u: found a command that the position follows"),
@@ -79,7 +82,7 @@ def test_a_good_export_passes_without_a_word(axis, columns):
             "column u: found up to 453.5, expected at most the limit of 10 in the axis file",
         ),
         (lambda c: {"u": 1e-3 * c["u"]}, "u and q: found force_gain x command 0.00.* times what mass and friction"),
-        (lambda c: {"u": -c["u"]}, "column u: found a command against the motion it makes"),
+        (lambda c: {"u": -c["u"]}, "column u: found a command opposite to the motion it causes"),
         (lambda c: {"t": 1e3 * c["t"]}, "sampling period of 1 s"),
         (lambda c: {"t": 1e-3 * c["t"]}, "a speed of .* m/s, expected metres|period"),
     ],
@@ -190,7 +193,7 @@ def test_a_missing_tenth_of_a_second_is_named_whether_time_tells_it_or_not(axis,
     cut = {name: without(values, moving, moving + 100) for name, values in columns.items()}
     at = cut["t"][moving - 1] / 1e3
     record = import_bytes(trace(cut), "trace.csv", axis)
-    assert any(f"nothing from {at:.6g} s to {at + 0.101:.6g} s; taken as 2 pieces" in one for one in record.warnings)
+    assert any(f"nothing from {at:.6g} s to {at + 0.101:.6g} s; used as 2 pieces" in one for one in record.warnings)
     counted = cut | {"t": np.arange(cut["t"].size, dtype=float)}
     with pytest.raises(RecordError, match=rf"q and q_ref, at {at:.6g} s: found both jump.* samples are missing there"):
         import_bytes(trace(counted), "trace.csv", axis)
@@ -285,8 +288,8 @@ def test_a_title_of_any_letters_is_valid_in_the_table():
 def test_one_column_for_two_keys_is_refused(axis, columns, tmp_path, capsys, other):
     twice = axis.replace(record={"reference": {"column": other, "unit": "mm"}})
     message = (
-        r"\[record\] position and reference both take the column 'Lageistwert \[mm\]'; give one of them a column of "
-        r"its own, or take it out of \[record\]"
+        r"\[record\] position and reference both take the column 'Lageistwert \[mm\]'; give them different "
+        r"columns, or remove one from \[record\]"
     )
     with pytest.raises(RecordError, match=f"^trace.csv: {message}$"):
         import_bytes(trace(columns), "trace.csv", twice)

@@ -177,7 +177,7 @@ def test_refusals(pushed):
 def test_effects_that_the_motion_does_not_give_are_named(pushed):
     flexible = {"kind": "flexible_coupling", "frequency": 40.0, "damping": 0.05, "share": 0.4}
     found = observe(pushed, AXIS.replace(effects=[flexible]))
-    assert [w for w in found.warnings if "flexible_coupling" in w and w.startswith("online: left out")]
+    assert [w for w in found.warnings if "flexible_coupling" in w and w.startswith("online: not included")]
     bare = observe(pushed, AXIS).methods["online"]
     np.testing.assert_array_equal(found.methods["online"].force, bare.force)
 

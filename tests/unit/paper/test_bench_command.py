@@ -37,8 +37,8 @@ def test_the_bench_takes_another_force_of_the_hand(capsys):
             ["--scenario", "bench", "--out", "run.npz"],
             "or breakaway, found bench",
         ),
-        (["emps2018", "--scenario", "bench"], "a machine of its own"),
-        (["--scenario", "comanipulation", "--tau-ref", "1"], "goes with --scenario bench, found comanipulation"),
+        (["emps2018", "--scenario", "bench"], "the bench has its own machine"),
+        (["--scenario", "comanipulation", "--tau-ref", "1"], "requires --scenario bench, found comanipulation"),
     ],
 )
 def test_what_does_not_fit_the_bench_is_refused(capsys, arguments, message):

@@ -165,4 +165,4 @@ def test_a_claim_that_does_not_hold_is_a_grave_message(monkeypatch):
     monkeypatch.setattr("emps_design.paper.errata.derivation", lambda: {"part": ("Part", [false])})
     (message,) = derive.answer(derive.DeriveRequest()).document["warnings"]
     assert (message.code, message.severity) == ("claim-is-false", Severity.GRAVE)
-    assert message.endswith("both sides are equal: found false")
+    assert message.endswith("both sides are equal: this is false")

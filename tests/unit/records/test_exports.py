@@ -334,7 +334,7 @@ def test_a_velocity_without_a_position_is_integrated_and_said(tmp_path):
     columns = {"velocity": {"column": "Motor speed", "unit": "r/min"}}
     record = read(text, columns, **turning)
     np.testing.assert_allclose(record.q, 0.1 * np.sin(6 * T), atol=1e-6)
-    assert "q: not recorded; the integral of velocity from 0 stands for it" in record.warnings
+    assert "q: not recorded; replaced by the integral of velocity from 0" in record.warnings
     assert Account(record, machine("emps2019")).encoder_step is None
     record.save(tmp_path / "a.npz")
     again = record_from_bytes((tmp_path / "a.npz").read_bytes(), "a.npz", layout=layout(columns, **turning))
@@ -385,7 +385,7 @@ def test_a_record_with_gaps_is_taken_as_its_pieces_and_says_so(tmp_path):
     text = "\n".join(["t;q;q_ref;u", *rows(t, np.sin(6 * t), np.sin(6 * t), np.cos(6 * t), digits=12)])
     record = read(text)
     assert any(
-        "nothing from 0.1 s to 0.151 s and in 1 more gaps, 0.072 s in all; taken as 3 pieces" in note
+        "nothing from 0.1 s to 0.151 s and in 1 more gaps, 0.072 s in all; used as 3 pieces" in note
         for note in record.warnings
     )
     there = record.bridged == 0.0
@@ -406,7 +406,7 @@ def test_a_reference_that_is_constant_is_none_where_no_controller_needs_one():
     assert not record.q_ref_recorded
     assert np.array_equal(record.q_ref, record.q)
     assert [note for note in record.warnings if note.startswith("q_ref")] == [
-        "q_ref: constant at 0 m, no reference of this motion; q itself stands for it",
+        "q_ref: constant at 0 m, no reference of this motion; replaced by q",
     ]
     assert read(text, units=Units()).q_ref_recorded
 

@@ -54,7 +54,7 @@ def test_the_modulo_counts_as_the_numbers_of_the_file(axis):
 def test_an_axis_file_keeps_its_modulo_and_gives_it_to_positions_alone(axis, tmp_path):
     (tmp_path / "axis.toml").write_text(axis.replace(record=WRAPPED).to_toml())
     assert load_axis(tmp_path / "axis.toml").record.position.modulo == 360.0
-    with pytest.raises(ValueError, match="command: found modulo 2, expected it of position and reference"):
+    with pytest.raises(ValueError, match="command: found modulo 2, expected it only for position and reference"):
         axis.replace(record={"command": {"column": "u", "modulo": 2.0}})
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from emps_design.axis import Axis
-from emps_design.comanipulation.assessment import _of_plants, _share
+from emps_design.comanipulation.assessment import _cell, _share
 from emps_design.control.force import design_force_loop
 from emps_design.control.velocity.design import design_velocity_loop
 from emps_design.control.velocity.limits import retune_velocity_loop
@@ -55,7 +55,7 @@ def test_an_interval_of_a_share_is_in_percent():
 
 
 def test_what_no_random_plant_has_is_not_shown_as_a_number():
-    assert [_of_plants(value) for value in (np.nan, None, 2.53812)] == ["-", "-", "2.538"]
+    assert [_cell(value) for value in (np.nan, None, 2.53812)] == ["-", "-", "2.538"]
 
 
 def test_what_costs_phase_is_named_with_the_filters_and_the_effects_of_the_axis(sketched):
@@ -85,7 +85,7 @@ def test_gains_that_were_retuned_are_not_those_of_equation_7(sketched):
     assert "gains by (7)" in page
     assert "feasible phase margin at this crossover" in page
     retuned = page_of(retune_velocity_loop(machine("emps2018"), crossover=60.0))
-    assert "gains retuned, for the loop as sampled" in retuned
+    assert "gains retuned for the sampled loop" in retuned
     assert "gains by (7)" not in retuned
     assert "feasible phase margin at this crossover" not in retuned
 

@@ -200,8 +200,8 @@ def test_models_know_the_back_emf():
 
 def test_a_duty_without_a_supply_is_told():
     bare = arm(supply=None)
-    with pytest.raises(AxisError, match=r"drive\.supply: missing, expected the supply that the duty is a share of"):
+    with pytest.raises(AxisError, match=r"drive\.supply: missing, expected the supply voltage of the duty"):
         Plant.of(bare).closed_loop(program(50))
     assert Axis.from_toml(arm().to_toml(comments=True)) == arm()
-    with pytest.raises(AxisError, match=r"drive\.supply: found one where the command is a voltage"):
+    with pytest.raises(AxisError, match=r"drive\.supply: found with a voltage command"):
         machine("emps2019").replace(drive={"supply": 5.0})

@@ -65,7 +65,7 @@ def test_replay_takes_a_record_with_gaps_as_its_pieces(kind, share):
     for name in ("position", "velocity", "acceleration"):
         assert found.relative_error_percent[name] < share * bridged.relative_error_percent[name]
         assert found.rms_error[name] < share * bridged.rms_error[name]
-    assert "emps2019: taken as 2 pieces, what lies between takes no part" in found.warnings
+    assert "emps2019: used as 2 pieces, without the gaps between them" in found.warnings
     assert len(found.run) == len(record)
     assert np.array_equal(found.run.u[800:], record.u[800:]) == (kind == "none")
 
@@ -204,13 +204,13 @@ def test_command_runs_the_comanipulation(capsys):
         (["simulate", "--scenario", "replai"], 2, "did you mean 'replay'"),
         (["simulate", "--scenario", "replay"], 2, "found no record"),
         (["simulate", "--scenario", "reference"], 2, "found no reference"),
-        (["simulate", "--scenario", "comanipulation", "--out", "x.npz"], 2, "--out: goes with --scenario replay or"),
+        (["simulate", "--scenario", "comanipulation", "--out", "x.npz"], 2, "--out: requires --scenario replay or"),
         (
             ["simulate", "--scenario", "breakaway", "--record", "x.npz"],
             2,
-            "goes with --scenario replay, found",
+            "requires --scenario replay, found",
         ),
-        (["simulate", "--scenario", "breakaway", "--mismatch", "0.1"], 2, "--mismatch: goes with --scenario comanip"),
+        (["simulate", "--scenario", "breakaway", "--mismatch", "0.1"], 2, "--mismatch: requires --scenario comanip"),
         (["simulate", "--scenario", "breakaway", "--rate", "50", "--out", "x.txt"], 2, "ends in .npz or .csv"),
         (["simulate", "--scenario", "breakaway", "--rate", "50", "--plot", "x.txt"], 2, "ends in .png, .svg or .pdf"),
     ],

@@ -103,7 +103,8 @@ def test_numbers_in_other_units_start_anew_and_the_others_stay():
         getattr(State.of(joint), one) for one in ("mass", "wall", "stroke")
     )
     assert (
-        differences_in_words(before, after) == "With joint came current loop 1 ms. Numbers in other units start anew."
+        differences_in_words(before, after)
+        == "Changed with joint: current loop 1 ms. Numbers in other units were reset."
     )
 
 
@@ -138,8 +139,8 @@ def test_a_specification_that_another_axis_cannot_have_stays_and_the_nearest_is_
     assert (view.state.frequency, view.state.phase_margin_deg) == (300.0, margin)
     assert view.knobs["frequency"].field.value == "300"
     assert 'class="message bad"' in view.message.object
-    assert "The nearest frequency that can be reached is" in view.message.object
-    view.fresh.clicks += 1
+    assert "The nearest feasible frequency is" in view.message.object
+    view.reset.clicks += 1
     assert view.state == State.of(UNLIKE["30 t"])
     assert 'class="message note"' in view.message.object
 

@@ -32,7 +32,7 @@ def test_an_axis_file_is_opened_in_the_design_tab_and_records_are_taken_for_ones
     opened(session.design.file, AXIS.to_toml().encode())
     assert session.state.axis == AXIS
     assert (session.state.frequency, session.state.filter) == (100.0, 500.0)
-    assert "With mine came sampling period 0.5 ms" in session.design.message.object
+    assert "Changed with mine: sampling period 0.5 ms" in session.design.message.object
     assert session.data._axis == AXIS
     heavier = AXIS.replace(mechanics={"mass": 120.0})
     opened(session.design.file, heavier.to_toml().encode())  # the same file, edited
@@ -110,9 +110,9 @@ def test_a_long_download_runs_beside_the_page_and_one_at_a_time(session, monkeyp
 
     data, at_work = asyncio.run(page())
     assert data == b"page"
-    assert "report.html is at work" in at_work
-    assert "report.html is handed to" in files.message.object
+    assert "report.html is being made" in at_work
+    assert "report.html is in the browser" in files.message.object
     files.job._poll = object()  # as it is while work goes on
     with pytest.raises(asyncio.CancelledError):
         asyncio.run(report())
-    assert "Other work is going on" in files.message.object
+    assert "Another job is running" in files.message.object

@@ -73,7 +73,10 @@ def test_a_state_goes_to_a_file_and_comes_back():
         ("[studio]\nphase_margin_deg = 90.0\n", "phase_margin_deg: found 90.0, expected 1 to 89"),
         ("[studio]\nphase_margin_deg = true\n", "phase_margin_deg: found True"),
         ("[studio]\nplants = 2.5\n", "plants: found 2.5, expected a whole number, 0 to 10000"),
-        ('[studio]\nfilter = "30 V"\n', "filter: frequency: found '30 V', expected a number of rad/s, or such as 30Hz"),
+        (
+            '[studio]\nfilter = "30 V"\n',
+            "filter: frequency: found '30 V', expected a number in rad/s, or one such as 30Hz",
+        ),
         ('[studio]\nmass = "30"\n', "mass: found '30', expected 1 to 200"),
         ('[studio]\nstructure = "pid"\n', "structure: found 'pid', expected IP or PI or PI with reference filter"),
         ('[studio]\nfilters = [{kind = "notch", frequency = 50}]\n', "filters.0: .*damping: found None"),
@@ -174,7 +177,7 @@ def test_a_refused_number_leaves_field_pictures_and_numbers_as_they_were():
     assert view.design is design
     assert view.numbers.object == numbers
     assert "found 2000" in view.message.object
-    assert "the design stays as it was" in view.message.object
+    assert "the design is unchanged" in view.message.object
 
 
 @pytest.mark.parametrize("name", [name for name, choice in CHOICES.items() if choice.label.endswith("[rad/s]")])
@@ -191,7 +194,7 @@ def test_every_frequency_is_understood_with_its_unit_and_the_page_says_what_it_t
         view.knobs[name].field.value = wrong
         assert getattr(view.state, name) == 200.0
         assert view.knobs[name].field.value == "200"
-        assert "the design stays as it was" in view.message.object
+        assert "the design is unchanged" in view.message.object
     document = state().to_toml().replace(f"\n{name} = {getattr(state(), name)}", f'\n{name} = "30Hz"')
     assert getattr(State.from_toml(document), name) == pytest.approx(60 * np.pi)
 
@@ -221,10 +224,10 @@ def test_structure_and_filters_are_those_of_the_axis_until_others_are_chosen():
     for name, wrong in (("frequency", "70 V"), ("depth", "2"), ("damping", ""), ("frequency", "-3")):
         before = view.filters.fields[0][name].value
         view.filters.fields[0][name].value = wrong
-        assert "the design stays as it was" in view.message.object, wrong
+        assert "the design is unchanged" in view.message.object, wrong
         assert view.filters.fields[0][name].value == before
         assert view.state.filters == (notch,)
-    view.filters._take_away(0)
+    view.filters._remove(0)
     assert view.state.filters == view.design.filters == ()
 
 
@@ -410,7 +413,7 @@ def test_no_controller_of_an_unstable_loop_is_handed_out():
     now = state(frequency=300.0, phase_margin_deg=20.0, computation_delay=2)
     assert not files_view.velocity_design(now).sampled.stable
     assert json.loads(files_view.gains_json(now))["sampled"]["stable"] is False
-    with pytest.raises(EmpsError, match="no controller is handed out: the sampled loop with these gains is unstable"):
+    with pytest.raises(EmpsError, match="no controller is written: the sampled loop with these gains is unstable"):
         files_view.model_toml(now)
 
 
@@ -424,8 +427,8 @@ def test_an_upload_is_read_like_a_file_and_its_name_leads_nowhere(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("run.pkl", b"x", "run.pkl: found a .pkl file, expected one of .mat, .csv, .txt, .tsv, .npz"),
-        ("run", b"x", "found a nameless file"),
+        ("run.pkl", b"x", "run.pkl: found suffix .pkl, expected one of .mat, .csv, .txt, .tsv, .npz"),
+        ("run", b"x", "found suffix none"),
         ("run.npz", b"not a zip", "run.npz"),
         ("run.csv", b"", "run.csv"),
         ("run.csv", b"0" * (LIMIT_MB * 10**6 + 1), f"expected at most {LIMIT_MB} MB"),
@@ -694,7 +697,7 @@ def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(
     for name, axis in (("this design", loop.axis()), ("the axis's own controller", session.state.axis)):
         expected = follow(axis, program).to_dict()["tracking_error"]
         assert view.motion_runs.runs[name].to_dict()["tracking_error"] == expected
-    assert "kp 12 1/s in every 2. sample" in view.message.object
+    assert "kp 12 1/s every 2. sample" in view.message.object
     assert "<svg" in view.picture.object
     turn("required_phase_deg", 20.0)  # nothing that a motion depends on
     assert "<svg" in view.picture.object
@@ -709,7 +712,7 @@ def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(
     assert view.motion_runs is None
     view._start()
     assert list(view.motion_runs.runs) == ["this design"]
-    assert "which follows no position" in view.message.object
+    assert "does not follow a position" in view.message.object
 
 
 def test_a_motion_from_a_file_or_the_records_reference(at_once):
@@ -723,7 +726,7 @@ def test_a_motion_from_a_file_or_the_records_reference(at_once):
     view._start()
     run = view.motion_runs.runs["this design"].run
     assert run.q_ref[[0, 500, 1000, 2000]] == pytest.approx([0.0, 0.025, 0.05, 0.05])
-    assert "way.csv, straight between its rows" in view.message.object
+    assert "way.csv, interpolated linearly" in view.message.object
     view.file.value = b"t,q_ref\n0,0\n0,1\n"
     assert view.motion_runs is None
     view._start()
@@ -778,7 +781,7 @@ def test_what_is_fed_forward_is_chosen_tried_and_handed_out(at_once, tmp_path):
     view._start()
     found, best = view.compensation, view.compensation.achieved
     assert "position_ripple" in found.feedforward.terms
-    errors = {"without feed-forward": found.without, "with all that is kept": best}
+    errors = {"without feed-forward": found.without, "with all terms in use": best}
     for label, rms in errors.items():
         assert f'<th>{label}</th><td class="number">{rms:.4g}</td><td>m</td>' in view.table.object
     assert "keep kv below" in view.table.object

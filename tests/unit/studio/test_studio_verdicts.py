@@ -113,7 +113,7 @@ def test_gains_handed_out_say_that_the_kept_position_loop_is_unstable():
     assert [loop["stable"] for loop in slow["kept_position_loop"]["loops"]][-1] is False
     assert "reason" not in fast
     assert [loop["stable"] for loop in fast["kept_position_loop"]["loops"]][-1] is True
-    with pytest.raises(EmpsError, match="no controller is handed out: the axis file's position loop"):
+    with pytest.raises(EmpsError, match="no controller is written: the axis file's position loop"):
         files_view.model_toml(asked.changed(frequency=12.0))
 
 
@@ -149,7 +149,7 @@ def test_a_wall_that_is_bounced_off_for_ever_stops_a_law_that_is_stable_in_the_a
     assert found.wall.verdict == "bouncing"
     level, text = found.verdict()
     assert level == "bad"
-    assert text.endswith("Pushed into the wall of 150 N/mm it is bouncing, where the poles of the loop are unstable.")
+    assert text.endswith("Pushed into the wall of 150 N/mm it is bouncing; the poles of the loop are unstable there.")
     soft = simulate(state(wall=10.0, mismatch_percent=0.0, plants=0))
     assert soft.verdict()[0] == "good"
     assert "wall" not in soft.verdict()[1]

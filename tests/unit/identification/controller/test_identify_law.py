@@ -215,7 +215,7 @@ def test_it_says_how_far_apart_two_rates_are_that_fit_alike(capsys, tmp_path):
     rival = next(one for one in found["tried"] if "position loop every 1," in one["terms"])
     assert rival["apart"] == pytest.approx(3.0, abs=0.1)
     assert found["notes"][0].startswith("the nearest of them is 3 standard deviations of the noise apart")
-    assert "to separate them takes 5.2: about 3 times as much" in found["notes"][0]
+    assert "separating them requires 5.2: about 3 times as much" in found["notes"][0]
     for name in ("position.kp", "velocity.kp", "velocity.ti", "feedforward.velocity"):  # the deviations reach the rival
         distance = abs(at(found["equivalents"][0], name) - at(found["controller"], name))
         assert at(found["std"], name) >= 0.99 * distance, name
@@ -241,8 +241,8 @@ def test_it_says_why_it_cannot_tell():
     record = Record.from_arrays(loop.period, r, q, u)
     cases = {
         "no reference": replace(record, q_ref_recorded=False),
-        "stands still": replace(record, q=np.zeros(q.size)),
-        "command stands still": replace(record, u=np.ones(u.size)),
+        "axis is at rest": replace(record, q=np.zeros(q.size)),
+        "command is constant": replace(record, u=np.ones(u.size)),
         "expected at least": record.part(0, 150),
     }
     for reason, one in cases.items():
@@ -274,7 +274,7 @@ def test_a_polled_position_that_is_older_than_the_command_tells_its_gain():
     assert (found.verdict, found.controller["kind"]) == (TOLD, "p")
     assert found.controller["kp"] == pytest.approx(0.57, rel=0.015)
     assert abs(found.controller["kp"] - 0.57) < 3.0 * found.std["kp"]
-    assert "ms before the one that the command follows" in " ".join(found.notes)
+    assert "ms before the one that the controller used" in " ".join(found.notes)
 
 
 @pytest.mark.study("a search over structures")
@@ -355,4 +355,4 @@ def test_a_reference_recorded_in_coarse_steps_hides_what_is_fed_forward():
     assert identify_law(Record.from_arrays(loop.period, r, q, u)).verdict == TOLD
     found = identify_law(Record.from_arrays(loop.period, np.round(r / 1e-7) * 1e-7, q, u))
     assert found.verdict == NOT_TOLD
-    assert "recorded in steps of 1e-07, of which derivatives hide what is fed forward" in found.reason
+    assert "recorded in steps of 1e-07, whose derivatives mask the feed-forward" in found.reason

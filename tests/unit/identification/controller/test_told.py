@@ -140,7 +140,10 @@ def test_a_law_with_something_no_structure_has_is_close_and_not_told():
     found = identify_law(Record.from_arrays(loop.period, r, q, u))
     assert (found.verdict, found.controller) == (NOT_TOLD, None)
     assert found.closest is not None
-    assert f"{found.residual_rms / found.allowed_rms:.3g} times what the record's own noise" in found.reason
+    assert (
+        f"{found.residual_rms / found.allowed_rms:.3g} times what noise and resolution of the record explain"
+        in found.reason
+    )
     assert found.to_dict()["residual"]["allowed"] == found.allowed_rms
 
 
