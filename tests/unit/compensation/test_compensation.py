@@ -189,8 +189,8 @@ def test_a_limit_that_does_not_let_the_axis_follow_is_said_with_how_far_it_goes(
 
 
 def test_an_integral_that_winds_up_is_named():
-    axis = machine("emps2018").replace(controller={**FAST, "anti_windup": "none"})
-    found = compensate(axis, ramps(5.0, 0.3, 0.15), mismatch=0.0)
+    table = {"kind": "cascade", **GAINS["cascade"], "anti_windup": "none"}
+    found = compensate(machine("emps2018").replace(controller=table), PROGRAM, mismatch=0.0)
     assert any("the integral winds up on the whole error at the limit" in text for text in found.warnings)
 
 
