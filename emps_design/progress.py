@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
 
-LOOKING = "looking for the controller that made the record"  # a stage of law, init --from and identify
+LOOKING = "identifying the controller that made the record"  # a stage of law, init --from and identify
 
 
 def no_progress(stage: str, share: float) -> None:

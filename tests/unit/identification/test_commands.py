@@ -195,7 +195,7 @@ def test_what_the_reader_did_as_the_file_says_is_no_reason_for_caution(folder, t
     axis.write_text(machine("emps2019").replace(controller={"kind": "none"}).to_toml())
     assert run([command, str(path), "--axis", str(axis), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert "q_ref: not recorded; q itself stands for it" in document["warnings"]
+    assert "q_ref: not recorded; replaced by q" in document["warnings"]
     assert document["advice"]["level"] == "safe", document["advice"]
     if command == "identify":
         assert {entry["reliability"] for entry in document["parameters"].values()} == {None}
