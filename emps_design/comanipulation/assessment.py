@@ -504,7 +504,7 @@ def _felt(document: dict[str, Any], units: Units) -> Table:
     columns = {
         "apparent_mass": "mass [kg]",
         "apparent_damping": "damping [N/(m/s)]",
-        "coulomb_left": "remaining Coulomb [N]",
+        "coulomb_left": "Coulomb left [N]",
     }
     places = {"derived": "derived", "(30) as printed": "printed"}
     if document["law"]["force_sensor"]:

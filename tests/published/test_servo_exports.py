@@ -41,7 +41,8 @@ def test_a_servo_export_is_read_to_its_last_digit(folder):
         signals = (record.q, record.q_ref, record.u)
         for values, name, factor in zip(signals, names[machine], (unit, unit, 1.0), strict=True):
             np.testing.assert_allclose(values, columns[name] * factor, rtol=1e-14)
-    force = np.load(folder / "scorer.npz")["force"]
+    with np.load(folder / "scorer.npz") as truth:
+        force = truth["force"]
     half = 0.5 * LAST_DIGIT[machine][1] * axis.drive.force_gain
     assert np.max(np.abs(force - axis.drive.force_gain * record.u)) <= half * (1 + 1e-9)
     again = Axis.from_toml(axis.to_toml())
@@ -52,12 +53,14 @@ def test_a_servo_export_is_read_to_its_last_digit(folder):
 @pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
 def test_a_measured_record_is_read_on_its_axis_s_clock(path, tmp_path):
     axis = Axis.load(DATA / "real" / ("xl330.toml" if path.parent.name == "xl330" else "odri.toml"))
-    record, arrays = import_record(path, axis), np.load(path)
+    record = import_record(path, axis)
+    with np.load(path) as file:
+        arrays = dict(file)
     assert record.period == axis.sampling.period
     assert np.array_equal(record.measured["t"], arrays["t"])
     command = arrays["duty" if path.parent.name == "xl330" else "i"]
     assert np.array_equal(record.measured["u"], command)
-    assert any("put on" in note for note in record.warnings)
+    assert any("resampled at" in note for note in record.warnings)
     if path.parent.name == "xl330":
         assert float(record.extra["kp"]) == float(arrays["kp"])
         assert set(np.unique(record.enable)) <= {0.0, 1.0}

@@ -33,7 +33,7 @@ def test_slow_lines_repeat_later_than_the_jerk():
 @pytest.mark.parametrize(
     ("frequencies", "said"),
     [
-        ((1.0, 3.0, 7.5), "found 3 excited lines, expected at least 4; excite more of the band"),
+        ((1.0, 3.0, 7.5), "found 3 excited lines, expected at least 4; excite a larger part of the band"),
         ((1.013, 3.37, 7.71), "found 3 lines in the reference, expected at least 4, or a band; excite more"),
     ],
 )

@@ -215,4 +215,4 @@ def test_two_records_tell_no_drift(simulate):
 def test_the_search_for_the_controller_is_reported(record):
     stages = []
     identify(record, AXIS.replace(controller={"kind": "none"}), progress=lambda stage, share: stages.append(stage))
-    assert stages == ["looking for the controller that made the record"]
+    assert stages == ["identifying the controller that made the record"]
