@@ -24,6 +24,7 @@ from emps_design.messages import warning
 from emps_design.progress import Progress, of_part
 from emps_design.records import Record
 from emps_design.request import takes
+from emps_design.threads import one_thread
 
 NOT_REPEATED = warning(
     "repeat-interrupted", "interrupted: the search was not repeated with the noise level of its own residual"
@@ -47,11 +48,8 @@ def diagnose(request: DiagnosisRequest) -> Diagnosis:
     the result also has the model that follows the records most closely, whatever its effects mean. Raises
     :class:`InputError` for records that cannot be judged or that the controller of ``axis`` did not make.
     """
-    from threadpoolctl import threadpool_limits
-
     request = _with_defaults(request)
-    # The matrices are tall and thin: BLAS threads would only wait, and the fits already run in parallel.
-    with threadpool_limits(1):
+    with one_thread():  # the fits already run in parallel
         if too_slow(request.records):
             return diagnose_along_motion(request)
         try:
