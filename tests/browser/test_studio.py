@@ -139,7 +139,7 @@ def test_a_record_is_refused_observed_identified_and_its_model_designed_on(page,
     upload(page, practice)
     page.get_by_text(re.compile("practice: [0-9]+ samples")).wait_for(timeout=BUSY)
     page.get_by_role("button", name="Observe").click()
-    page.get_by_text(re.compile("below the error bound")).first.wait_for(timeout=BUSY)
+    page.get_by_text(re.compile("distinguished from errors")).first.wait_for(timeout=BUSY)
     page.get_by_role("button", name="Identify").click()
     page.get_by_text(re.compile("Identified: mass 9[0-9.]+ kg")).wait_for(timeout=BUSY)
     page.wait_for_timeout(500)
