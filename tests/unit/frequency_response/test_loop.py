@@ -254,7 +254,7 @@ def test_limits_of_the_sensitivity_below_and_above_the_antiresonance(tmp_path, c
     for side, other in (("below", "above"), ("above", "below")):
         binding = (f"--sensitivity-peak-{side}", str(0.98 * limits[side]))
         refused = answer("80", "--retune", *binding, "--out", str(out), status=3)
-        assert f"the largest sensitivity {side} the first antiresonance is {limits[side]:.4g}, asked for" in refused
+        assert f"the largest sensitivity {side} the first antiresonance is {limits[side]:.4g}, requested" in refused
         assert f"sensitivity {other}" not in refused
         assert not out.exists()
         slower = refused.partition("; ")[2].rpartition(" rad/s works")[0].split()[-1]

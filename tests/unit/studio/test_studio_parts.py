@@ -697,7 +697,7 @@ def test_a_motion_of_ones_own_is_simulated_under_the_design_and_under_the_drive(
     for name, axis in (("this design", loop.axis()), ("the axis's own controller", session.state.axis)):
         expected = follow(axis, program).to_dict()["tracking_error"]
         assert view.motion_runs.runs[name].to_dict()["tracking_error"] == expected
-    assert "kp 12 1/s every 2. sample" in view.message.object
+    assert "kp 12 1/s, every 2. sample" in view.message.object
     assert "<svg" in view.picture.object
     turn("required_phase_deg", 20.0)  # nothing that a motion depends on
     assert "<svg" in view.picture.object
